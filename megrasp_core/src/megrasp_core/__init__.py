@@ -1,0 +1,1 @@
+"""Grasp synthesis for bin picking with any gripper: the ROS-free core."""

@@ -1,0 +1,5 @@
+"""The `megrasp` command."""
+
+from .app import main
+
+__all__ = ["main"]

@@ -1,0 +1,35 @@
+"""The tree of commands. A new command is a function in a file of its own and one line here."""
+
+from __future__ import annotations
+
+from tyro.extras import SubcommandApp
+
+from .data import grasps, pack, scenes, stats, verify
+from .demo import demo
+from .gripper import check, listed, render, show
+from .objects import generate
+from .synthesize import synthesize
+from .train import train
+
+__all__ = ["app"]
+
+
+def app() -> SubcommandApp:
+    """All commands."""
+    root = SubcommandApp()
+    root.command(demo)
+    root.command(synthesize)
+    grippers = _group(list=listed, show=show, check=check, render=render)
+    root.command(grippers, name="gripper", help="List, show, check and draw grippers.")
+    root.command(_group(generate=generate), name="objects", help="Make objects to grasp.")
+    data = _group(grasps=grasps, scenes=scenes, pack=pack, stats=stats, verify=verify)
+    root.command(data, name="data", help="Make, pack and check training data.")
+    root.command(train)
+    return root
+
+
+def _group(**functions: object) -> SubcommandApp:
+    group = SubcommandApp()
+    for name, function in functions.items():
+        group.command(function, name=name)  # type: ignore[call-overload]
+    return group

@@ -1,0 +1,200 @@
+"""`megrasp data grasps | scenes | pack | stats | verify`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from ..errors import InvalidRequestError
+from .common import emit, progress_bar, say
+
+if TYPE_CHECKING:
+    from ..datasets import ExecutorConfig, ObjectSet, Progress, RunSummary
+
+__all__ = ["grasps", "pack", "scenes", "stats", "verify"]
+
+Executor = Literal["local", "ray"]
+Grippers = Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--grippers"])]
+TRAINED = ("robotiq_2f85", "franka_hand", "robotiq_3f")
+
+
+def grasps(
+    out: Path,
+    gripper: Grippers = TRAINED,
+    procedural: int = 60,
+    assets: bool = True,
+    count: int | None = None,
+    executor: Executor = "local",
+    address: str | None = None,
+    workers: int = 1,
+    seed: int = 0,
+) -> int:
+    """Label grasps of single objects in free space; a folder that exists is continued.
+
+    Try: megrasp data grasps --out data/library --gripper robotiq_2f85 --workers 2
+
+    Args:
+        out: library folder.
+        gripper: names or folders.
+        procedural: number of procedural objects.
+        assets: take the train scans under MEGRASP_ASSETS as well, where it is set.
+        count: trials per object and gripper; the generator's default without it.
+        executor: local processes or a Ray cluster.
+        address: of the Ray cluster.
+        workers: processes or tasks in flight.
+        seed: of the candidates.
+    """
+    from ..datasets import LabelSettings, LibraryConfig, generate_library
+
+    settings = LabelSettings() if count is None else LabelSettings(count=count)
+    config = LibraryConfig(tuple(gripper), _objects(procedural, assets), seed, settings)
+    where = _executor(executor, address, workers)
+    with _bar("grasps") as tell:
+        summary = generate_library(out, config, where, on_progress=tell)
+    return _finished(summary, "pairs of object and gripper", out)
+
+
+def scenes(
+    out: Path,
+    library: Path,
+    num_scenes: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 100,
+    gripper: Grippers = TRAINED,
+    procedural: int = 60,
+    assets: bool = True,
+    executor: Executor = "local",
+    address: str | None = None,
+    workers: int = 1,
+    seed: int = 0,
+) -> int:
+    """Build labelled scenes; a data set that exists is continued, the same seed gives the same
+    scene.
+
+    Try: megrasp data scenes --out data/scenes --library data/library -n 500 --workers 2
+
+    Args:
+        out: data set folder.
+        library: grasp library: folder of `data grasps` or a packed file.
+        num_scenes: how many, with the seeds seed, seed + 1, ...
+        gripper: names or folders; every scene is labelled for each.
+        procedural: number of procedural objects to draw from.
+        assets: draw from the train scans under MEGRASP_ASSETS as well, where it is set.
+        executor: local processes or a Ray cluster.
+        address: of the Ray cluster.
+        workers: processes or tasks in flight.
+        seed: of the first scene.
+    """
+    from ..datasets import SceneConfig, SceneJob, generate_scenes
+
+    if num_scenes < 1:
+        raise InvalidRequestError(f"--num-scenes {num_scenes} was given; expected at least 1.")
+    job = SceneJob(SceneConfig(grippers=tuple(gripper)), library, _objects(procedural, assets))
+    seeds = range(seed, seed + num_scenes)
+    with _bar("scenes") as tell:
+        summary = generate_scenes(
+            out, job, seeds, _executor(executor, address, workers), on_progress=tell
+        )
+    return _finished(summary, "scenes", out)
+
+
+def pack(out: Path, into: Path | None = None) -> int:
+    """Pack a library, or the recipes of a data set, into one small file.
+
+    Recipes hold bin, object poses, grasps and labels; clouds are rendered again from the seed.
+
+    Try: megrasp data pack --out data/scenes --into models/scene_recipes.npz
+
+    Args:
+        out: folder of `data grasps` or `data scenes`.
+        into: file; by default grasp_library.npz or scene_recipes.npz beside the folder.
+    """
+    from ..datasets import SceneDataset, load_library, pack_library, write_recipes
+
+    if (out / "manifest.json").is_file():
+        target = into or out.parent / "scene_recipes.npz"
+        dataset = SceneDataset(out)
+        size = write_recipes(target, iter(dataset))
+        say(f"wrote the recipes of {len(dataset)} scenes to {target}, {size / 1e6:.1f} MB")
+        return 0
+    library = load_library(out)
+    target = into or out.parent / "grasp_library.npz"
+    size = pack_library(library, target)
+    say(f"wrote {len(library)} pairs of object and gripper to {target}, {size / 1e6:.1f} MB")
+    return 0
+
+
+def stats(out: Annotated[Path, tyro.conf.arg(aliases=["--data"])]) -> int:
+    """Counts of a data set or a library, as JSON.
+
+    Try: megrasp data stats --out data/scenes
+
+    Args:
+        out: folder of `data grasps` or `data scenes`, or a packed library.
+    """
+    from ..datasets import library_stats, load_library, scene_stats
+
+    if (out / "manifest.json").is_file():
+        with progress_bar(None, "scenes") as bar:
+            emit(scene_stats(out, lambda done, total: bar.update()), None)
+    else:
+        emit(library_stats(load_library(out)), None)
+    return 0
+
+
+def verify(out: Annotated[Path, tyro.conf.arg(aliases=["--data"])]) -> int:
+    """Read every record of a data set and say what is wrong; exit code 1 with findings.
+
+    Try: megrasp data verify --out data/scenes
+
+    Args:
+        out: folder of `data scenes`.
+    """
+    from ..datasets import verify_dataset
+
+    with progress_bar(None, "scenes") as bar:
+        problems = verify_dataset(out, lambda done, total: bar.update())
+    for problem in problems:
+        say(problem)
+    say(f"{len(problems)} problems in {out}")
+    return 1 if problems else 0
+
+
+def _objects(procedural: int, assets: bool) -> ObjectSet:
+    import os
+
+    from ..datasets import training_objects
+
+    if procedural < 0:
+        raise InvalidRequestError(f"--procedural {procedural} was given; expected 0 or more.")
+    return training_objects(procedural, assets=assets and bool(os.environ.get("MEGRASP_ASSETS")))
+
+
+def _executor(kind: Executor, address: str | None, workers: int) -> ExecutorConfig:
+    from ..datasets import ExecutorConfig
+
+    return ExecutorConfig(kind, workers, address)
+
+
+@contextmanager
+def _bar(what: str) -> Iterator[Callable[[Progress], None]]:
+    with progress_bar(None, what) as bar:
+
+        def tell(progress: Progress) -> None:
+            bar.total = progress.total
+            bar.n = progress.done + progress.failed
+            bar.set_postfix(failed=progress.failed, refresh=True)
+
+        yield tell
+
+
+def _finished(summary: RunSummary, what: str, out: Path) -> int:
+    say(f"{summary.done} {what} in {summary.seconds:.0f} s, {len(summary.failed)} failed; {out}")
+    for unit, message in summary.failed[:10]:
+        say(f"failed: {unit}: {message}")
+    if summary.cancelled:
+        say("stopped; run the same command again to go on")
+        return 1
+    return 1 if summary.failed and not summary.done else 0

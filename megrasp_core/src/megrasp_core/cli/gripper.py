@@ -1,0 +1,167 @@
+"""`megrasp gripper list | show | check | render`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import tyro
+
+from .common import emit, say
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..grippers import Gripper
+
+__all__ = ["check", "listed", "render", "show"]
+
+SYMMETRY_WARNING = 0.003
+"""Residual of the stated symmetry over which `check` warns (m), as DESIGN section 4 says."""
+
+
+def listed(out: Path | None = None) -> int:
+    """All registered grippers.
+
+    Try: MEGRASP_GRIPPER_PATH=my_grippers megrasp gripper list
+
+    Args:
+        out: JSON instead of a table.
+    """
+    from ..grippers import gripper_folders, load_description
+
+    rows = [(load_description(folder), str(folder)) for _, folder in gripper_folders().items()]
+    if out is not None:
+        emit([{**d.to_dict(), "folder": folder} for d, folder in rows], out)
+        return 0
+    for description, folder in rows:
+        width = "-" if description.max_width is None else f"{1000 * description.max_width:.0f} mm"
+        say(
+            f"{description.name:<20s} {description.kind:<9s} opens {width:>7s}  "
+            f"{description.display_name}  ({folder})"
+        )
+    return 0 if rows else 1
+
+
+def show(name: tyro.conf.Positional[str], out: Path | None = None) -> int:
+    """What is known about a gripper: frames, postures, fingers, hash.
+
+    Try: megrasp gripper show robotiq_2f85
+
+    Args:
+        name: registered name or folder of a gripper.yaml.
+        out: JSON file instead of standard output.
+    """
+    from ..grippers import load_gripper
+
+    emit(_facts(load_gripper(name)), out)
+    return 0
+
+
+def check(
+    path: tyro.conf.Positional[str], against: str | None = None, out: Path | None = None
+) -> int:
+    """Check a gripper description, and compare its shape with another's.
+
+    Loads description and model, settles both postures, renders both clouds, tests that the fingers
+    close towards each other and that the stated symmetry holds. Exit code 1 with findings.
+
+    Try: megrasp gripper check my_gripper/ --against robotiq_2f85
+
+    Args:
+        path: folder of a gripper.yaml, or a registered name.
+        against: another gripper; distances between the two surfaces are reported.
+        out: JSON with the facts and findings.
+    """
+    from ..grippers import load_gripper
+    from ..ranking import gripper_probe
+
+    gripper = load_gripper(path)
+    findings = []
+    report = _facts(gripper)
+    residual = _symmetry_residual(gripper)
+    report["symmetry_residual_p95"] = residual
+    if residual > SYMMETRY_WARNING:
+        findings.append(
+            f"after a turn by 1/{gripper.description.symmetry} the open surface differs by "
+            f"{1000 * residual:.1f} mm (p95); expected at most {1000 * SYMMETRY_WARNING:.0f} mm"
+        )
+    if gripper_probe(gripper).volume is None:
+        findings.append(
+            "no finger surfaces face each other along X and close; is X the closing axis?"
+        )
+    if against is not None:
+        other = load_gripper(against)
+        report["against"] = {
+            "gripper": other.name,
+            **{posture: _difference(gripper, other, posture) for posture in ("open", "closed")},
+        }
+    report["findings"] = findings
+    emit(report, out)
+    for finding in findings:
+        say(f"finding: {finding}")
+    say(f"{gripper.name}: {len(findings)} findings")
+    return 1 if findings else 0
+
+
+def render(name: tyro.conf.Positional[str], out: Path) -> int:
+    """A picture of the open and the closed gripper with the TCP frame.
+
+    Try: megrasp gripper render robotiq_3f --out robotiq_3f.png
+
+    Args:
+        name: registered name or folder of a gripper.yaml.
+        out: PNG.
+    """
+    from ..evaluation.pictures import draw_gripper
+    from ..grippers import load_gripper
+
+    image = draw_gripper(load_gripper(name))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    image.save(out)
+    say(f"wrote {out}")
+    return 0
+
+
+def _facts(gripper: Gripper) -> dict[str, Any]:
+    return {
+        **gripper.description.to_dict(),
+        "hash": gripper.hash,
+        "open_joints": gripper.open_joints,
+        "closed_joints": gripper.closed_joints,
+        "actuators": int(gripper.model.nu),
+    }
+
+
+def _symmetry_residual(gripper: Gripper) -> float:
+    """95th percentile of the distance from the turned open surface to the open surface (m)."""
+    import numpy as np
+
+    n = gripper.description.symmetry
+    if n < 2:
+        return 0.0
+    angle = 2 * np.pi / n
+    turn = np.array(
+        [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+    )
+    points = gripper.clouds().open_points - gripper.tcp
+    return float(np.percentile(_distances(points @ turn.T, points), 95))
+
+
+def _difference(gripper: Gripper, other: Gripper, posture: str) -> dict[str, float]:
+    import numpy as np
+
+    clouds = gripper.clouds(), other.clouds()
+    mine, theirs = (getattr(c, f"{posture}_points") for c in clouds)
+    both = np.concatenate([_distances(mine, theirs), _distances(theirs, mine)])
+    return {
+        "median": float(np.median(both)),
+        "p95": float(np.percentile(both, 95)),
+        "max": float(both.max()),
+    }
+
+
+def _distances(points: np.ndarray, to: np.ndarray) -> np.ndarray:
+    from scipy.spatial import cKDTree
+
+    return cKDTree(to).query(points)[0]

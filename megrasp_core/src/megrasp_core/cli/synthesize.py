@@ -1,0 +1,186 @@
+"""`megrasp synthesize`."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+import tyro
+
+from ..errors import GravityError, InvalidRequestError
+from .common import Flag, progress_bar, read_region, say
+
+if TYPE_CHECKING:
+    from ..pointcloud import Cloud
+    from ..synthesizer import Synthesis
+
+__all__ = ["synthesize"]
+
+LOGGER = logging.getLogger(__name__)
+Vector = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
+ASSUMED_HEIGHT = 1.0
+
+
+def synthesize(
+    cloud: tyro.conf.Positional[Path],
+    gripper: str,
+    num_grasps: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 20,
+    drawn: int = 100,
+    frame: Literal["world", "optical"] = "world",
+    gravity: Vector = None,
+    top_down: Flag = False,
+    sensor: Vector = None,
+    region: Path | None = None,
+    max_tilt: float | None = None,
+    approach_distance: float = 0.10,
+    approach_direction: Literal["tool", "gravity"] = "tool",
+    model: str | None = None,
+    device: str = "cpu",
+    threads: int | None = None,
+    fast: Flag = False,
+    all: Flag = False,
+    seed: int | None = None,
+    out: Path | None = None,
+    picture: Path | None = None,
+) -> int:
+    """Ranked grasps for a point cloud file.
+
+    Try:
+      megrasp synthesize bin.ply --gripper robotiq_2f85 -n 20 --out grasps.json --picture bin.png
+      megrasp synthesize view.npz --gripper robotiq_3f --frame optical --top-down --region bin.yaml
+      megrasp synthesize view.pcd --gripper my_gripper/ --frame optical --gravity 0 0.5 0.87
+
+    Args:
+        cloud: .ply, .pcd, .npz (array points, optional colors and viewpoint) or .npy; metres.
+        gripper: registered name (megrasp gripper list) or folder of a gripper.yaml.
+        num_grasps: most grasps to return.
+        drawn: poses drawn; the best go through the restarts.
+        frame: world: z up; optical: the camera's frame, gravity must be given.
+        gravity: vector that points down in the frame of the cloud.
+        top_down: with --frame optical: the camera looks straight down, gravity is +z.
+        sensor: where the camera was. Default: the file's viewpoint; optical: the origin; world:
+            1 m over the middle of the cloud.
+        region: JSON or YAML file with pose (7 numbers) and size (3) of the bin's inside; walls:
+            false where it is no bin.
+        max_tilt: largest angle between gripper +Z and gravity (rad).
+        approach_distance: from approach pose to pre-grasp (m).
+        approach_direction: tool: along gripper Z; gravity: straight down.
+        model: id or folder; the default model without it.
+        device: cpu or cuda.
+        threads: torch threads; as the process has them without it.
+        fast: draw only as many poses as are returned.
+        all: return the poses that fail the check as well, last.
+        seed: of everything drawn; random without it, the one used is written.
+        out: grasps.json.
+        picture: PNG of the cloud and the best grasps.
+    """
+    down = _gravity(frame, gravity, top_down)
+    box, walls = (None, True) if region is None else read_region(region)
+    from ..pointcloud import read_cloud
+    from ..synthesizer import GraspSynthesizer, SynthesisRequest
+
+    # Before anything slow is loaded: bad numbers are told at once.
+    SynthesisRequest(
+        num_grasps=num_grasps, drawn=drawn, gravity=down, max_tilt=max_tilt,  # type: ignore[arg-type]
+        approach_distance=approach_distance, approach_direction=approach_direction, seed=seed,
+    )  # fmt: skip
+    points = read_cloud(cloud)
+    place = _sensor(points, frame, sensor, down)
+    synthesizer = GraspSynthesizer.load(model, gripper, device=device, threads=threads)
+    with progress_bar(None, "synthesize") as bar:
+
+        def tell(phase: str, step: int, total: int) -> None:
+            bar.total = total
+            bar.n = step
+            bar.set_description(phase)
+
+        result = synthesizer.synthesize(
+            points,
+            num_grasps=num_grasps,
+            drawn=drawn,
+            mode="fast" if fast else "default",
+            gravity=down,
+            sensor=place,
+            region=box,
+            walls=walls,
+            max_tilt=max_tilt,
+            approach_distance=approach_distance,
+            approach_direction=approach_direction,
+            seed=seed,
+            keep_all=all,
+            on_step=tell,
+        )
+    _report(result)
+    if out is not None:
+        result.write_json(out, frame)
+        say(f"wrote {out}")
+    if picture is not None:
+        from ..evaluation.pictures import save_grasp_picture
+
+        assert synthesizer.gripper is not None
+        save_grasp_picture(picture, points, result, synthesizer.gripper, region=box, gravity=down)
+        say(f"wrote {picture}")
+    return 0 if any(grasp.collision_free for grasp in result.grasps) else 1
+
+
+def _gravity(
+    frame: str, gravity: tuple[float, float, float] | None, top_down: bool
+) -> tuple[float, float, float]:
+    if top_down and frame != "optical":
+        raise InvalidRequestError(
+            "--top-down was given with --frame world; expected it with --frame optical only. In a "
+            "world frame gravity is 0 0 -1, or what --gravity says."
+        )
+    if top_down and gravity is not None:
+        raise InvalidRequestError("--top-down and --gravity were given; expected one of them.")
+    if gravity is not None:
+        return gravity
+    if frame == "world":
+        return (0.0, 0.0, -1.0)
+    if top_down:
+        return (0.0, 0.0, 1.0)
+    raise GravityError(
+        "--frame optical was given without gravity; expected --gravity X Y Z, a vector that "
+        "points down in the camera's frame (x right, y down, z forward). Add --gravity X Y Z, or "
+        "--top-down where the camera looks straight down."
+    )
+
+
+def _sensor(
+    cloud: Cloud,
+    frame: str,
+    sensor: tuple[float, float, float] | None,
+    down: tuple[float, float, float],
+) -> np.ndarray | None:
+    if sensor is not None:
+        return np.asarray(sensor)
+    if cloud.viewpoint is not None:
+        return None
+    if frame == "optical":
+        return np.zeros(3)
+    direction = np.asarray(down) / np.linalg.norm(down)
+    place = cloud.points.mean(axis=0) - ASSUMED_HEIGHT * direction
+    LOGGER.warning(
+        "the file does not say where the sensor was; assuming %s, %g m over the middle of the "
+        "cloud. Give --sensor X Y Z.",
+        np.round(place, 3).tolist(),
+        ASSUMED_HEIGHT,
+    )
+    return place
+
+
+def _report(result: Synthesis) -> None:
+    free = sum(grasp.collision_free for grasp in result.grasps)
+    counts = ", ".join(f"{name} {number}" for name, number in result.rejected.items() if number)
+    say(
+        f"{free} grasps for {result.gripper} with {result.model}: {result.drawn} drawn, "
+        f"{result.evaluations} evaluations, {result.timing['total']:.2f} s, seed {result.seed}"
+    )
+    say(f"not returned: {counts or 'none'}")
+    for rank, grasp in enumerate(result.grasps[:5], start=1):
+        x, y, z = grasp.world_from_tcp[:3, 3]
+        width = "" if np.isnan(grasp.width) else f", width {1000 * grasp.width:.0f} mm"
+        note = "" if grasp.collision_free else f", fails: {grasp.reason}"
+        say(f"{rank:3d}  score {grasp.score:.2f}  TCP {x:.3f} {y:.3f} {z:.3f}{width}{note}")

@@ -1,0 +1,80 @@
+"""Training data: candidates, free-space labels, scenes, storage and where the work runs (DESIGN section 5)."""
+
+from megrasp_core.datasets.candidates import (
+    Candidates,
+    CandidateSettings,
+    ObjectSurface,
+    antipodal,
+)
+from megrasp_core.datasets.executors import ExecutorConfig, Progress, RunSummary, run_units
+from megrasp_core.datasets.inspection import (
+    library_stats,
+    record_problems,
+    scene_stats,
+    verify_dataset,
+)
+from megrasp_core.datasets.labelling import (
+    LabelSettings,
+    LibraryConfig,
+    generate_library,
+    label_object,
+)
+from megrasp_core.datasets.layout import Layout, SceneConfig, draw_layout
+from megrasp_core.datasets.library import (
+    GraspLibrary,
+    load_library,
+    pack_library,
+    write_grasp_set,
+)
+from megrasp_core.datasets.object_set import (
+    ObjectSet,
+    asset_names,
+    procedural_names,
+    training_objects,
+)
+from megrasp_core.datasets.recipes import read_recipes, with_cloud, write_recipes
+from megrasp_core.datasets.records import GraspSet, GripperLabels, Kind, SceneRecord
+from megrasp_core.datasets.scenes import SceneJob, build_scene, generate_scenes
+from megrasp_core.datasets.storage import SceneDataset, SceneWriter
+
+__all__ = [
+    "CandidateSettings",
+    "Candidates",
+    "ExecutorConfig",
+    "GraspLibrary",
+    "GraspSet",
+    "GripperLabels",
+    "Kind",
+    "LabelSettings",
+    "Layout",
+    "LibraryConfig",
+    "ObjectSet",
+    "ObjectSurface",
+    "Progress",
+    "RunSummary",
+    "SceneConfig",
+    "SceneDataset",
+    "SceneJob",
+    "SceneRecord",
+    "SceneWriter",
+    "antipodal",
+    "asset_names",
+    "build_scene",
+    "draw_layout",
+    "generate_library",
+    "generate_scenes",
+    "label_object",
+    "library_stats",
+    "load_library",
+    "pack_library",
+    "procedural_names",
+    "read_recipes",
+    "record_problems",
+    "run_units",
+    "scene_stats",
+    "training_objects",
+    "verify_dataset",
+    "with_cloud",
+    "write_grasp_set",
+    "write_recipes",
+]

@@ -1,0 +1,143 @@
+"""Counts and checks of a data set on disk: what `megrasp data stats` and `megrasp data verify` report."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from megrasp_core.datasets.library import GraspLibrary
+from megrasp_core.datasets.records import Kind, SceneRecord
+from megrasp_core.datasets.storage import SceneDataset
+from megrasp_core.errors import DataError
+
+
+def scene_stats(
+    folder: str | Path, on_progress: Callable[[int, int], None] | None = None
+) -> dict[str, Any]:
+    """Counts of a scene data set.
+
+    Returns:
+        scenes, in_bin, mean_objects, mean_points, and per gripper: grasps by kind and label, the success rate of
+        the judged library grasps, the reasons of failure, the share of scenes with any success, and successes per
+        scene.
+    """
+    dataset = SceneDataset(folder)
+    grippers: dict[str, dict[str, Any]] = {}
+    objects, points, bins = [], [], 0
+    for index, record in enumerate(dataset):
+        objects.append(len(record.object_names))
+        points.append(len(record.points))
+        bins += record.bin_inner is not None
+        for name, labels in record.labels.items():
+            entry = grippers.setdefault(
+                name, {"count": Counter(), "reasons": Counter(), "scenes": 0, "any": 0, "success": 0}
+            )
+            entry["scenes"] += 1
+            entry["any"] += bool((labels.label == 1).any())
+            entry["success"] += int((labels.label == 1).sum())
+            for kind, label in zip(labels.kind, labels.label):
+                entry["count"][f"{Kind(int(kind)).name.lower()}_{'success' if label else 'failure'}"] += 1
+            judged = (labels.kind == Kind.JUDGED) & (labels.label == 0)
+            entry["reasons"].update(str(reason) for reason in labels.reason[judged])
+        if on_progress is not None:
+            on_progress(index + 1, len(dataset))
+    return {
+        "scenes": len(dataset),
+        "in_bin": bins,
+        "mean_objects": float(np.mean(objects)) if objects else 0.0,
+        "mean_points": float(np.mean(points)) if points else 0.0,
+        "grippers": {name: _summary(entry) for name, entry in sorted(grippers.items())},
+    }
+
+
+def _summary(entry: dict[str, Any]) -> dict[str, Any]:
+    count = entry["count"]
+    held, lost = count["judged_success"], count["judged_failure"]
+    return {
+        "labels": dict(sorted(count.items())),
+        "judged_success_rate": held / (held + lost) if held + lost else None,
+        "judged_failures": dict(entry["reasons"].most_common()),
+        "scenes_with_success": entry["any"] / max(1, entry["scenes"]),
+        "successes_per_scene": entry["success"] / max(1, entry["scenes"]),
+    }
+
+
+def library_stats(library: GraspLibrary) -> dict[str, Any]:
+    """Counts of a grasp library per gripper: objects, objects with any success, successes, trials, drawn."""
+    result: dict[str, Any] = {}
+    for name in library.grippers:
+        sets = [entry for entry in library if entry.gripper == name]
+        held = np.array([int(entry.success.sum()) for entry in sets])
+        result[name] = {
+            "objects": len(sets),
+            "objects_with_success": int((held > 0).sum()),
+            "successes": int(held.sum()),
+            "failures_kept": int(sum(len(entry.success) for entry in sets) - held.sum()),
+            "trials": int(sum(entry.tried for entry in sets)),
+            "drawn": int(sum(entry.drawn for entry in sets)),
+        }
+    return result
+
+
+def verify_dataset(
+    folder: str | Path, on_progress: Callable[[int, int], None] | None = None
+) -> list[str]:
+    """Reads every record of a data set and returns what is wrong, one line each; empty when all is well."""
+    dataset = SceneDataset(folder)
+    problems: list[str] = []
+    known = {str(name) for name in dataset.manifests[0].get("grippers", {})}
+    for index, name in enumerate(dataset.names):
+        try:
+            record = dataset[index]
+        except DataError as error:
+            problems.append(f"{name}: {error}")
+        else:
+            problems.extend(f"{name}: {problem}" for problem in record_problems(record, known))
+        if on_progress is not None:
+            on_progress(index + 1, len(dataset))
+    return problems
+
+
+def record_problems(record: SceneRecord, grippers: set[str] | None = None) -> list[str]:
+    """What is wrong with a record, in words; empty when nothing is."""
+    problems: list[str] = []
+    count, objects = len(record.points), len(record.object_names)
+    if record.points.shape != (count, 3) or count == 0:
+        problems.append(f"points have shape {record.points.shape}; expected (M, 3) with M > 0")
+    elif not np.isfinite(record.points.astype(np.float32)).all():
+        problems.append("some points are not finite")
+    if record.normals.shape != record.points.shape or record.on_plane.shape != (count,):
+        problems.append("normals or plane flags do not match the points")
+    elif np.abs(np.linalg.norm(record.normals.astype(np.float32) / 127.0, axis=1) - 1).max() > 0.02:
+        problems.append("some normals are not of unit length")
+    if record.object_poses.shape != (objects, 7) or record.obstacle.shape != (objects,):
+        problems.append("object poses or obstacle flags do not match the object names")
+    if grippers and set(record.labels) != grippers:
+        problems.append(f"labels for {sorted(record.labels)}; expected {sorted(grippers)}")
+    for name, labels in record.labels.items():
+        problems.extend(f"{name}: {problem}" for problem in _label_problems(labels, objects))
+    return problems
+
+
+def _label_problems(labels: Any, objects: int) -> list[str]:
+    count = len(labels.label)
+    if not count:
+        return []
+    problems: list[str] = []
+    if labels.world_from_tcp.shape != (count, 7) or not np.isfinite(labels.world_from_tcp).all():
+        problems.append("poses are not (K, 7) finite numbers")
+    elif np.abs(np.linalg.norm(labels.world_from_tcp[:, 3:], axis=1) - 1).max() > 1e-3:
+        problems.append("some quaternions are not of unit length")
+    if labels.object.min() < 0 or labels.object.max() >= objects:
+        problems.append("a grasp belongs to no object of the scene")
+    if not set(np.unique(labels.label)) <= {0, 1}:
+        problems.append("labels other than 0 and 1")
+    if not set(np.unique(labels.kind)) <= {int(kind) for kind in Kind}:
+        problems.append("unknown kinds of label")
+    if ((labels.label == 1) & (labels.kind == Kind.COLLISION)).any():
+        problems.append("a colliding grasp is labelled a success")
+    return problems

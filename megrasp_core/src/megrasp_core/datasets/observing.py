@@ -1,0 +1,58 @@
+"""What the camera sees of a scene: the same noise and preprocessing as at inference (DESIGN sections 5 and 6)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from megrasp_core.datasets.layout import CAMERA, GRAVITY, Layout, SceneConfig, stream
+from megrasp_core.datasets.object_set import ObjectSet
+from megrasp_core.pointcloud import SurfaceCloud, surface_cloud
+from megrasp_core.simulation import (
+    Camera,
+    DepthNoise,
+    TopDownCamera,
+    build_world,
+    observe,
+    ring_cameras,
+)
+
+
+def scene_cameras(seed: int, config: SceneConfig, *, in_bin: bool) -> list[Camera]:
+    """The top-down camera of a scene, a little moved and tilted, or for some tables ten cameras around."""
+    rng = stream(seed, CAMERA)
+    if not in_bin and rng.random() < config.ring_share:
+        return ring_cameras()
+    width, height = config.image
+    nominal = TopDownCamera(config.camera_height, width_px=width, height_px=height)
+    shift = rng.uniform(-1.0, 1.0, size=3) * config.camera_shift
+    tilt = rng.uniform(-1.0, 1.0, size=3) * config.camera_tilt
+    pose = np.array(nominal.world_from_camera, np.float64)
+    pose[:3, 3] += shift
+    pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(tilt).as_matrix()
+    return [replace(nominal, world_from_camera=pose)]
+
+
+def scene_surface(
+    layout: Layout, seed: int, config: SceneConfig, objects: ObjectSet
+) -> SurfaceCloud:
+    """Renders the scene of a layout with the camera and the noise of its seed and preprocesses the cloud.
+
+    Raises:
+        EmptyRegionError: nothing of the region was seen.
+    """
+    world = build_world([objects[name] for name in layout.object_names], bin=layout.bin)
+    world.set_object_poses(layout.matrices)
+    cameras = scene_cameras(seed, config, in_bin=layout.bin is not None)
+    cloud = observe(
+        world, cameras if len(cameras) > 1 else cameras[0], DepthNoise(), stream(seed, CAMERA, 1)
+    )
+    return surface_cloud(
+        cloud,
+        sensor=cloud.viewpoint,
+        gravity=np.array(GRAVITY),
+        region=layout.region,
+        settings=config.surface,
+    )

@@ -1,0 +1,148 @@
+"""The records that the generator makes: labels of one object, labels of one scene.
+
+Poses are `world_from_tcp` (or `object_from_tcp`) as seven numbers [x, y, z, qx, qy, qz, qw], metres; the TCP frame has
++Z as approach and +X as closing axis (DESIGN section 2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Kind(IntEnum):
+    """Where a scene's label comes from."""
+
+    LIBRARY = 0
+    """Held in the free-space trial, free of collision in the scene; not tried in the heap."""
+    JUDGED = 1
+    """Tried in the heap by `simulation.judge`."""
+    COLLISION = 2
+    """The open gripper touches something at the pre-grasp or on the approach."""
+    PERTURBED = 3
+    """A positive, moved a little and tried in the heap."""
+    SAMPLED = 4
+    """Drawn by a model and tried in the heap."""
+
+
+@dataclass(frozen=True)
+class GraspSet:
+    """Labels of one object for one gripper from the free-space trial.
+
+    Attributes:
+        gripper: name of the gripper.
+        gripper_hash: hash of the description that the labels belong to.
+        object_name: name of the object in its object set.
+        object_from_tcp: (n, 7) float64 poses.
+        success: (n,) bool, held through the shaking.
+        reason: (n,) str, why a trial failed; "" for successes.
+        drawn: candidates drawn in all, start collisions included.
+        tried: full trials among them.
+    """
+
+    gripper: str
+    gripper_hash: str
+    object_name: str
+    object_from_tcp: NDArray[np.float64]
+    success: NDArray[np.bool_]
+    reason: NDArray[np.str_]
+    drawn: int
+    tried: int
+
+    @property
+    def successes(self) -> NDArray[np.float64]:
+        """(k, 7) poses of the successful grasps."""
+        return self.object_from_tcp[self.success]
+
+
+@dataclass(frozen=True)
+class GripperLabels:
+    """Labels of one gripper in one scene.
+
+    Attributes:
+        world_from_tcp: (K, 7) float32 poses of the TCP at the pre-grasp.
+        object: (K,) int16, the object the grasp was made for (index into the scene's objects).
+        label: (K,) int8, 1 success, 0 failure.
+        kind: (K,) int8, a `Kind`.
+        reason: (K,) str, why it failed; "" for successes.
+    """
+
+    world_from_tcp: NDArray[np.float32]
+    object: NDArray[np.int16]
+    label: NDArray[np.int8]
+    kind: NDArray[np.int8]
+    reason: NDArray[np.str_]
+
+    def __len__(self) -> int:
+        return len(self.label)
+
+    @staticmethod
+    def empty() -> GripperLabels:
+        """No label at all."""
+        return GripperLabels(
+            np.zeros((0, 7), np.float32),
+            np.zeros(0, np.int16),
+            np.zeros(0, np.int8),
+            np.zeros(0, np.int8),
+            np.zeros(0, np.str_),
+        )
+
+    @staticmethod
+    def joined(parts: list[GripperLabels]) -> GripperLabels:
+        """The labels of `parts`, one after another."""
+        if not parts:
+            return GripperLabels.empty()
+        return GripperLabels(
+            np.concatenate([p.world_from_tcp for p in parts]).astype(np.float32),
+            np.concatenate([p.object for p in parts]).astype(np.int16),
+            np.concatenate([p.label for p in parts]).astype(np.int8),
+            np.concatenate([p.kind for p in parts]).astype(np.int8),
+            np.concatenate([p.reason for p in parts]),
+        )
+
+
+@dataclass(frozen=True)
+class SceneRecord:
+    """One settled scene, what the camera saw of it, and the labels of every gripper.
+
+    Attributes:
+        name: unique within a data set, made from the seed.
+        seed: the seed that makes this scene again.
+        object_names: n names in the object set.
+        object_poses: (n, 7) float32 `world_from_object`.
+        obstacle: (n,) bool, objects that must not be lifted.
+        bin_inner: (3,) inner size of the bin (m), None for a table.
+        points: (M, 3) float16 preprocessed surface points in the world frame.
+        normals: (M, 3) int8, 127 times the unit normal.
+        on_plane: (M,) bool, points of the support plane.
+        sensor: (3,) float32 position of the camera.
+        gravity: (3,) float32 unit vector.
+        labels: gripper name -> labels.
+    """
+
+    name: str
+    seed: int
+    object_names: tuple[str, ...]
+    object_poses: NDArray[np.float32]
+    obstacle: NDArray[np.bool_]
+    bin_inner: tuple[float, float, float] | None
+    points: NDArray[np.float16]
+    normals: NDArray[np.int8]
+    on_plane: NDArray[np.bool_]
+    sensor: NDArray[np.float32]
+    gravity: NDArray[np.float32]
+    labels: dict[str, GripperLabels] = field(default_factory=dict)
+
+    def surface(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Points (M, 3) and unit normals (M, 3) in float64, as stored."""
+        normals = self.normals.astype(np.float64)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+        return self.points.astype(np.float64), normals
+
+
+def pack_normals(normals: NDArray[np.floating]) -> NDArray[np.int8]:
+    """Unit normals (M, 3) -> int8, 127 times each; the direction error stays below 0.4 degrees."""
+    return np.clip(np.rint(normals * 127.0), -127, 127).astype(np.int8)

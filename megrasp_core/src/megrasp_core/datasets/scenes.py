@@ -1,0 +1,158 @@
+"""Training scenes: from a seed to a labelled record, and runs of many seeds into a data set folder."""
+
+from __future__ import annotations
+
+import functools
+import importlib.metadata
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from megrasp_core.datasets.executors import ExecutorConfig, Progress, RunSummary, run_units
+from megrasp_core.datasets.labelling import cached_gripper
+from megrasp_core.datasets.layout import GRAVITY, SceneConfig, draw_layout
+from megrasp_core.datasets.library import GraspLibrary, load_library
+from megrasp_core.datasets.object_set import ObjectSet
+from megrasp_core.datasets.observing import scene_surface
+from megrasp_core.datasets.records import SceneRecord, pack_normals
+from megrasp_core.datasets.scene_labels import SceneLabeller
+from megrasp_core.datasets.storage import SceneWriter, scene_name
+from megrasp_core.errors import DataError
+
+
+def build_scene(
+    seed: int, config: SceneConfig, library: GraspLibrary, objects: ObjectSet
+) -> SceneRecord:
+    """Makes one scene: settles objects, looks from above, labels grasps for every gripper.
+
+    The same seed, config, library and objects give the same record bit for bit.
+
+    Args:
+        seed: of the scene.
+        config: how scenes are drawn and labelled.
+        library: free-space grasps of the objects for the config's grippers.
+        objects: what is drawn from.
+
+    Raises:
+        SimulationError: the heap does not come to rest.
+        EmptyRegionError: the camera saw nothing of the region.
+    """
+    layout = draw_layout(seed, config, objects)
+    surface = scene_surface(layout, seed, config, objects)
+    labels = {}
+    for name in config.grippers:
+        gripper = cached_gripper(name)
+        labels[gripper.name] = SceneLabeller(
+            layout, gripper, library, objects, seed, config
+        ).labels()
+    return SceneRecord(
+        name=scene_name(seed),
+        seed=seed,
+        object_names=layout.object_names,
+        object_poses=layout.object_poses,
+        obstacle=layout.obstacle,
+        bin_inner=None if layout.bin is None else layout.bin.inner,
+        points=surface.points.astype(np.float16),
+        normals=pack_normals(surface.normals),
+        on_plane=surface.on_plane,
+        sensor=np.asarray(surface.sensor, np.float32),
+        gravity=np.asarray(GRAVITY, np.float32),
+        labels=labels,
+    )
+
+
+@dataclass(frozen=True)
+class SceneJob:
+    """What a worker needs to make scenes.
+
+    Attributes:
+        config: how scenes are drawn and labelled.
+        library: packed file or folder of the grasp library; read once a process.
+        objects: what is drawn from; those without labels for every gripper are left out.
+    """
+
+    config: SceneConfig
+    library: Path
+    objects: ObjectSet
+
+
+@functools.lru_cache(maxsize=2)
+def _library(path: Path) -> GraspLibrary:
+    return load_library(path)
+
+
+def _build(seed: int, job: SceneJob) -> SceneRecord:
+    return build_scene(seed, job.config, _library(job.library), job.objects)
+
+
+def labelled_objects(job: SceneJob) -> ObjectSet:
+    """The job's objects that the library has labels of for every gripper, in the set's order.
+
+    Raises:
+        DataError: there is none.
+    """
+    library = _library(job.library)
+    names = [cached_gripper(name).name for name in job.config.grippers]
+    labelled = set(library.objects(names))
+    usable = [name for name in job.objects.names if name in labelled]
+    if not usable:
+        raise DataError(
+            f"the library {job.library} has no object with labels for all of {', '.join(names)}; expected at least "
+            "one. Run `megrasp data grasps` for these grippers first."
+        )
+    return job.objects.restricted(usable)
+
+
+def manifest_of(job: SceneJob) -> dict[str, Any]:
+    """What identifies a data set: config, objects, grippers with their hashes, and the versions it was made with."""
+    versions = {
+        name: importlib.metadata.version(name) for name in ("megrasp-core", "mujoco", "numpy")
+    }
+    return {
+        "config": asdict(job.config),
+        "objects": list(job.objects.names),
+        "grippers": {
+            cached_gripper(name).name: cached_gripper(name).hash for name in job.config.grippers
+        },
+        "library": job.library.name,
+        "versions": versions,
+    }
+
+
+def generate_scenes(
+    folder: str | Path,
+    job: SceneJob,
+    seeds: Iterable[int],
+    executor: ExecutorConfig | None = None,
+    *,
+    shard_size: int = 64,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> RunSummary:
+    """Makes the scenes of `seeds` that are missing in `folder`.
+
+    Args:
+        folder: data set folder; one made with the same job is continued.
+        job: config, library, objects.
+        seeds: one scene each.
+        executor: where to run.
+        shard_size: scenes a shard.
+        on_progress: called after every scene.
+
+    Returns:
+        What was done; seeds whose heap did not come to rest are listed as failed.
+    """
+    job = SceneJob(job.config, Path(job.library), labelled_objects(job))
+    writer = SceneWriter(Path(folder), manifest_of(job), shard_size)
+    try:
+        return run_units(
+            functools.partial(_build, job=job),
+            [seed for seed in seeds if seed not in writer],
+            executor,
+            on_result=lambda seed, record: writer.add(record),
+            on_progress=on_progress,
+        )
+    finally:
+        writer.close()

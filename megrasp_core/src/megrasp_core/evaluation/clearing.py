@@ -1,0 +1,183 @@
+"""The rules by which a bin is emptied: which gripper is due, what counts as a try, when to stop.
+
+One plan serves the demo without ROS (`demo.py`) and the ROS node `bin_clearing`, so that both empty a bin in
+the same way. It knows nothing of the cell: it hears of attempts and answers what to do next.
+
+Rules, with `tries` = 3 by default:
+
+* The objects are shared out evenly over the grippers, the first ones taking what is left over. A gripper hands
+  over as soon as its share has left the bin.
+* Tries are counted as failures in a row. A failed grasp, and a synthesis that offers no grasp to execute,
+  count one. TCP poses that failed since the last success are excluded from the next synthesis.
+* After `tries` failures in a row the object that they were aimed at is given up for this gripper: grasps whose
+  TCP lies within `give_up_radius` of the failed ones are passed over from then on.
+* When as many objects are given up as are left in the bin, or `tries` syntheses in a row offered nothing, the
+  gripper hands over; if it was the last, the run ends. A bin of n objects thus sees at most `tries` * n
+  attempts of a gripper, and every run ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+from megrasp_core.errors import InvalidRequestError
+
+
+@dataclass(frozen=True)
+class PickRecord:
+    """One attempt, as printed and as kept in summary.json. Lengths in m, times in s, scores in 0..1."""
+
+    attempt: int
+    gripper: str
+    success: bool
+    reason: str
+    removed: tuple[str, ...]
+    objects_left: int
+    score: float | None = None
+    width: float | None = None
+    returned: int = 0
+    synthesis_seconds: float = 0.0
+    execution_seconds: float = 0.0
+    rejected: dict[str, int] = field(default_factory=dict)
+    picture: str | None = None
+
+    def line(self) -> str:
+        """One line for a terminal."""
+        what = ", ".join(self.removed) if self.removed else "nothing"
+        score = "  -  " if self.score is None else f"{self.score:5.2f}"
+        outcome = f"lifted {what}" if self.success else f"failed ({self.reason}), removed {what}"
+        return (
+            f"pick {self.attempt:2d}  {self.gripper:<14s} score {score}  {outcome}; "
+            f"{self.objects_left} left  [{self.returned} grasps in {self.synthesis_seconds:.2f} s, "
+            f"executed in {self.execution_seconds:.2f} s]"
+        )
+
+
+class ClearingPlan:
+    """Which gripper is due and what it must not try again, after everything that has happened so far."""
+
+    def __init__(
+        self,
+        grippers: Sequence[str],
+        objects: int,
+        *,
+        tries: int = 3,
+        give_up_radius: float = 0.05,
+    ) -> None:
+        """`objects`: how many are in the bin now. Raises InvalidRequestError without grippers or tries."""
+        if not grippers:
+            raise InvalidRequestError(
+                "no gripper was given for clearing the bin; expected one or more names, used in this order"
+            )
+        if tries < 1 or objects < 0:
+            raise InvalidRequestError(
+                f"tries = {tries} and objects = {objects} were given; expected at least 1 try and 0 objects"
+            )
+        self.grippers = tuple(grippers)
+        self.tries = tries
+        self.give_up_radius = give_up_radius
+        self.objects_at_start = objects
+        self.objects_left = objects
+        self.records: list[PickRecord] = []
+        self.ended = "" if objects else "the bin is empty"
+        self._turn = 0
+        self._failed: list[np.ndarray] = []
+        self._in_a_row = 0
+        self._without_grasp = 0
+        self._given_up: list[np.ndarray] = []
+        self._objects_given_up = 0
+
+    @property
+    def gripper(self) -> str | None:
+        """The gripper that is due, or None when the run is over."""
+        return None if self.ended else self.grippers[self._turn]
+
+    @property
+    def excluded(self) -> list[np.ndarray]:
+        """world_from_tcp (4, 4) of the grasps that failed since the last success."""
+        return list(self._failed)
+
+    def choose(self, world_from_tcp: np.ndarray) -> int | None:
+        """Index of the first of the poses (n, 4, 4), best first, that is not aimed at a given-up object."""
+        for index, pose in enumerate(np.asarray(world_from_tcp, dtype=float).reshape(-1, 4, 4)):
+            near = (
+                np.linalg.norm(pose[:3, 3] - spot) < self.give_up_radius for spot in self._given_up
+            )
+            if not any(near):
+                return index
+        return None
+
+    def record(self, record: PickRecord, world_from_tcp: np.ndarray | None) -> None:
+        """Takes in one attempt. `world_from_tcp` (4, 4): what was executed, None if there was no grasp."""
+        self.records.append(record)
+        self.objects_left = record.objects_left
+        if record.success:
+            self._failed.clear()
+            self._in_a_row = self._without_grasp = 0
+        else:
+            self._in_a_row += 1
+            if world_from_tcp is None:
+                self._without_grasp += 1
+            else:
+                self._without_grasp = 0
+                self._failed.append(np.array(world_from_tcp, dtype=float))
+        if self._in_a_row >= self.tries:
+            self._objects_given_up += 1
+            self._given_up.extend(pose[:3, 3] for pose in self._failed)
+            self._failed.clear()
+            self._in_a_row = 0
+        self._advance()
+
+    def stop(self, reason: str) -> None:
+        """Ends the run, for instance because the cell or the server no longer answers."""
+        self.ended = self.ended or reason
+
+    def summary(self) -> dict[str, object]:
+        """Counts over the run and every attempt, ready for JSON."""
+        successes = sum(record.success for record in self.records)
+        removed = [name for record in self.records for name in record.removed]
+        per_gripper: dict[str, dict[str, int]] = {}
+        for record in self.records:
+            row = per_gripper.setdefault(
+                record.gripper, {"attempts": 0, "successes": 0, "removed": 0}
+            )
+            row["attempts"] += 1
+            row["successes"] += record.success
+            row["removed"] += len(record.removed)
+        return {
+            "grippers": list(self.grippers),
+            "objects_at_start": self.objects_at_start,
+            "objects_left": self.objects_left,
+            "removed": removed,
+            "cleared": self.objects_left == 0,
+            "attempts": len(self.records),
+            "successes": successes,
+            "first_grasp_rate": successes / len(self.records) if self.records else None,
+            "per_gripper": per_gripper,
+            "tries_an_object": self.tries,
+            "ended": self.ended,
+            "picks": [asdict(record) for record in self.records],
+        }
+
+    def _advance(self) -> None:
+        if self.objects_left == 0:
+            self.ended = "the bin is empty"
+            return
+        out = self.objects_at_start - self.objects_left
+        share_done = self._turn + 1 < len(self.grippers) and out >= self._share(self._turn + 1)
+        stuck = self._objects_given_up >= self.objects_left or self._without_grasp >= self.tries
+        if not (share_done or stuck):
+            return
+        if self._turn + 1 == len(self.grippers):
+            self.ended = f"{self.objects_left} objects were given up after {self.tries} tries each"
+            return
+        self._turn += 1
+        self._failed.clear()
+        self._given_up.clear()
+        self._in_a_row = self._without_grasp = self._objects_given_up = 0
+
+    def _share(self, turns: int) -> int:
+        """Objects that must be out before the gripper number `turns` is due."""
+        return -(-self.objects_at_start * turns // len(self.grippers))

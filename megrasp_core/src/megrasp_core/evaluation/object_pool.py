@@ -1,0 +1,71 @@
+"""Which objects an evaluation draws from, and which of them a gripper can hold at all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..datasets.labelling import LabelSettings, label_object
+from ..errors import InvalidRequestError
+from ..grippers import Gripper
+from ..objects import ObjectModel, load_objects, procedural_object
+
+PROCEDURAL_POOL = 60
+PROCEDURAL_SEED = 900_000
+"""Procedural objects of evaluations are drawn from seeds from here on, training's from below."""
+
+
+@dataclass(frozen=True)
+class GraspableSettings:
+    """When an object counts as graspable: the free-space trial holds it with enough antipodal candidates."""
+
+    candidates: int = 120
+    trials: int = 30
+    successes: int = 5
+    seed: int = 7
+
+
+def load_pool(folder: str | Path | None) -> list[ObjectModel]:
+    """Objects below a folder, or without one a fixed set of procedural objects.
+
+    Raises:
+        ObjectError: the folder holds no object.
+    """
+    if folder is None:
+        return [procedural_object(PROCEDURAL_SEED + i) for i in range(PROCEDURAL_POOL)]
+    return load_objects(Path(folder))
+
+
+def graspable_objects(
+    gripper: Gripper,
+    pool: list[ObjectModel],
+    settings: GraspableSettings | None = None,
+    *,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> list[int]:
+    """Indices of the objects that the gripper can hold in the free-space trial.
+
+    Raises:
+        InvalidRequestError: it can hold none.
+    """
+    settings = settings or GraspableSettings()
+    labels = LabelSettings(
+        count=settings.candidates,
+        trials=settings.trials,
+        target=settings.successes,
+        hopeless=settings.trials,
+    )
+    found = []
+    for index, model in enumerate(pool):
+        made = label_object(gripper, model, settings.candidates, settings.seed, settings=labels)
+        if int(made.success.sum()) >= settings.successes:
+            found.append(index)
+        if on_progress is not None:
+            on_progress(index + 1, len(pool))
+    if not found:
+        raise InvalidRequestError(
+            f"gripper {gripper.name!r} holds none of the {len(pool)} objects; expected objects that fit between "
+            "its fingers. Give another --objects folder."
+        )
+    return found

@@ -1,0 +1,141 @@
+"""Runs a protocol over many scenes and writes its result file (DESIGN section 7)."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import platform
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..grippers import Gripper
+from ..objects import ObjectModel
+from .planner import Planner
+from .protocols import ProtocolSettings, SceneOutcome, run_scene
+from .statistics import cluster_bootstrap, wilson
+
+
+@dataclass(frozen=True)
+class EvaluationResult:
+    """Outcomes of all scenes and what was run."""
+
+    settings: ProtocolSettings
+    gripper: str
+    model: str
+    pool: int
+    graspable: int
+    objects: str
+    scenes: tuple[SceneOutcome, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Content of the result file."""
+        scenes, settings = self.scenes, self.settings
+        sampled = [s.sampled for s in scenes]
+        passed = [[x for x in part if x[1]] for part in sampled]
+        first = [ok for s in scenes for ok, _ in s.first]
+        total = sum(len(part) for part in sampled)
+        stages = sum(s.stages for s in scenes)
+        objects = sum(s.objects for s in scenes)
+        removed = sum(s.removed for s in scenes)
+        seconds = np.array([t for s in scenes for t in s.seconds] or [0.0])
+        content: dict[str, Any] = {
+            "protocol": settings.protocol,
+            "gripper": self.gripper,
+            "model": self.model,
+            "seed": settings.seed,
+            "scenes": len(scenes),
+            "drawn": settings.drawn,
+            "returned": settings.returned,
+            "evaluations": max((s.evaluations for s in scenes), default=0),
+            "first": wilson(sum(first), len(first)).to_json(),
+            "answered_share": round(sum(s.answered for s in scenes) / max(1, stages), 4),
+            "seconds": {
+                "median": round(float(np.median(seconds)), 4),
+                "p95": round(float(np.quantile(seconds, 0.95)), 4),
+            },
+            "reasons": dict(Counter(reason for s in scenes for _, reason in s.first)),
+        }
+        if total:
+            won = [sum(x[0] for x in part) for part in sampled]
+            good = [sum(x[0] for x in part) for part in passed]
+            content["unfiltered"] = cluster_bootstrap(won, [len(p) for p in sampled]).to_json()
+            content["filtered"] = cluster_bootstrap(good, [len(p) for p in passed]).to_json()
+            content["kept_share"] = round(sum(len(p) for p in passed) / total, 4)
+            content["sample_reasons"] = dict(Counter(x[2] for part in sampled for x in part))
+            content["filtered_reasons"] = dict(Counter(x[2] for part in passed for x in part))
+        if settings.protocol == "binpick":
+            content["cleared"] = round(removed / max(1, objects), 4)
+            content["picks_per_object"] = round(len(first) / max(1, removed), 3)
+        content["hardware"] = hardware()
+        content["config"] = {
+            **dataclasses.asdict(settings),
+            "objects": self.objects,
+            "pool": self.pool,
+            "graspable_objects": self.graspable,
+        }
+        return content
+
+    def write(self, path: str | Path) -> None:
+        """Write the result file; missing folders are made."""
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(self.to_json(), indent=1) + "\n")
+
+
+def evaluate(
+    settings: ProtocolSettings,
+    gripper: Gripper,
+    planner: Planner,
+    pool: Sequence[ObjectModel],
+    graspable: Sequence[int],
+    *,
+    objects: str = "procedural",
+    on_scene: Callable[[int, EvaluationResult], None] | None = None,
+) -> EvaluationResult:
+    """Run all scenes of a protocol.
+
+    Args:
+        settings: the run.
+        gripper: in the simulation.
+        planner: answers with grasps for that gripper.
+        pool: objects to draw from.
+        graspable: indices of those that the gripper can hold.
+        objects: where they come from, for the result file.
+        on_scene: called with the number of scenes done and the result so far.
+    """
+    outcomes: list[SceneOutcome] = []
+
+    def result() -> EvaluationResult:
+        return EvaluationResult(
+            settings, gripper.name, planner.name, len(pool), len(graspable), objects, tuple(outcomes)
+        )
+
+    for index in range(settings.scenes):
+        outcomes.append(run_scene(settings, gripper, planner, pool, graspable, index))
+        if on_scene is not None:
+            on_scene(index + 1, result())
+    return result()
+
+
+def hardware() -> dict[str, Any]:
+    """Processor, cores and threads, for result files."""
+    model = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        lines = [line for line in info.read_text().splitlines() if line.startswith("model name")]
+        model = lines[0].split(":", 1)[1].strip() if lines else model
+    found: dict[str, Any] = {
+        "cpu": model,
+        "cores": len(os.sched_getaffinity(0)),
+        "threads": torch.get_num_threads(),
+    }
+    if torch.cuda.is_available():
+        found["gpu"] = torch.cuda.get_device_name()
+    return found

@@ -1,0 +1,76 @@
+"""Rates with intervals (DESIGN section 2).
+
+Samples of one scene share its luck, so their rate gets a cluster bootstrap over scenes; first grasps are nearly
+independent attempts and get Wilson's interval.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import norm
+
+
+@dataclass(frozen=True)
+class Rate:
+    """Successes out of trials with a 95 % interval; rate and interval are None without trials."""
+
+    successes: int
+    trials: int
+    ci95: tuple[float, float] | None
+
+    @property
+    def rate(self) -> float | None:
+        """Share of successes."""
+        return self.successes / self.trials if self.trials else None
+
+    def to_json(self) -> dict[str, Any]:
+        """Entry of a result file."""
+        return {
+            "successes": self.successes,
+            "trials": self.trials,
+            "rate": None if self.rate is None else round(self.rate, 4),
+            "ci95": None if self.ci95 is None else [round(v, 4) for v in self.ci95],
+        }
+
+
+def wilson(successes: int, trials: int, level: float = 0.95) -> Rate:
+    """Wilson's score interval of a binomial share."""
+    if not trials:
+        return Rate(0, 0, None)
+    z = float(norm.ppf(0.5 + level / 2))
+    share = successes / trials
+    middle = (share + z * z / (2 * trials)) / (1 + z * z / trials)
+    half = z / (1 + z * z / trials) * math.sqrt(share * (1 - share) / trials + z * z / (4 * trials**2))
+    return Rate(successes, trials, (max(0.0, middle - half), min(1.0, middle + half)))
+
+
+def cluster_bootstrap(
+    successes: Sequence[int],
+    trials: Sequence[int],
+    *,
+    seed: int = 0,
+    draws: int = 4000,
+    level: float = 0.95,
+) -> Rate:
+    """Percentile interval of the pooled rate when whole scenes are drawn again.
+
+    Args:
+        successes: per scene.
+        trials: per scene.
+        seed: of the bootstrap.
+        draws: bootstrap samples.
+        level: of the interval.
+    """
+    won, tried = np.asarray(successes, int), np.asarray(trials, int)
+    if not tried.sum():
+        return Rate(0, 0, None)
+    index = np.random.default_rng(seed).integers(len(tried), size=(draws, len(tried)))
+    totals = tried[index].sum(1)
+    rates = won[index].sum(1)[totals > 0] / totals[totals > 0]
+    low, high = np.quantile(rates, [0.5 - level / 2, 0.5 + level / 2])
+    return Rate(int(won.sum()), int(tried.sum()), (float(low), float(high)))

@@ -1,0 +1,106 @@
+"""Fidelity: how far a description is from another one of the same gripper, such as its CAD model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
+
+from megrasp_core.grippers.geometry import posed
+from megrasp_core.grippers.gripper import POSTURES, Gripper
+from megrasp_core.grippers.render import Mesh, raycasting_scene
+
+PAD_HALF_HEIGHT = 0.015
+PAD_DEPTH = 0.010
+OPENING_PATCH = 0.008
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Differences between a gripper and a reference, metres.
+
+    `surface`: posture -> mean symmetric point-to-surface distance of the outer surfaces; `surface_p95`: its 95th
+    percentile; `tcp`: distance of the TCPs; `opening`: difference of the clear widths of the open postures at the TCP;
+    `pad_motion`: largest difference of the mean displacement of a finger group's pad from open to closed.
+    """
+
+    surface: dict[str, float]
+    surface_p95: dict[str, float]
+    tcp: float
+    opening: float
+    pad_motion: float
+
+
+def compare(gripper: Gripper, reference: Gripper, count: int = 2000, seed: int = 0) -> Comparison:
+    """Compare two grippers posture by posture in the gripper frame."""
+    mean, p95 = {}, {}
+    ours, theirs = gripper.clouds(count, seed), reference.clouds(count, seed)
+    for name in POSTURES:
+        own = ours.open_points if name == "open" else ours.closed_points
+        other = theirs.open_points if name == "open" else theirs.closed_points
+        there = surface_distance(own, reference.meshes(name))
+        back = surface_distance(other, gripper.meshes(name))
+        mean[name] = float(there.mean() + back.mean()) / 2.0
+        p95[name] = float(np.percentile(np.concatenate([there, back]), 95))
+    groups = range(min(len(gripper.description.fingers), len(reference.description.fingers)))
+    motion = max(
+        float(np.linalg.norm(pad_displacement(gripper, i) - pad_displacement(reference, i))) for i in groups
+    )
+    tcp = float(np.linalg.norm(gripper.tcp - reference.tcp))
+    return Comparison(mean, p95, tcp, opening(gripper) - opening(reference), motion)
+
+
+def surface_distance(points: NDArray[np.float64], meshes: Sequence[Mesh]) -> NDArray[np.float64]:
+    """Return the distance (N,) of points (N, 3) to the nearest triangle of the meshes."""
+    scene = raycasting_scene(meshes)
+    return scene.compute_distance(o3d.core.Tensor(points.astype(np.float32))).numpy().astype(np.float64)
+
+
+def opening(gripper: Gripper, posture: str = "open") -> float:
+    """Return the clear width between the first two finger groups around the TCP, metres; NaN where no ray hits both.
+
+    Rays leave a patch of the plane through the TCP, 16 mm wide and high, along -X and +X; the smallest sum of the two
+    distances to the collision geometry counts. Meant for postures whose fingers do not reach the middle.
+    """
+    poses = gripper.body_poses(posture)
+    side = np.linspace(-OPENING_PATCH, OPENING_PATCH, 9)
+    grid = np.stack(np.meshgrid([0.0], side, side, indexing="ij"), axis=-1).reshape(-1, 3) + gripper.tcp
+    total = np.zeros(len(grid))
+    for group, sign in ((0, -1.0), (1, 1.0)):
+        meshes = [m for m in gripper.body_meshes("collision") if gripper.finger_groups[m.body] == group]
+        if not meshes:
+            return float("nan")
+        rays = np.concatenate([grid, np.tile([sign, 0.0, 0.0], (len(grid), 1))], axis=1)
+        hits = raycasting_scene(posed(meshes, poses)).cast_rays(o3d.core.Tensor(rays.astype(np.float32)))
+        total += hits["t_hit"].numpy().astype(np.float64)
+    finite = total[np.isfinite(total)]
+    return float(finite.min()) if len(finite) else float("nan")
+
+
+def pad_displacement(gripper: Gripper, group: int, count: int = 4000) -> NDArray[np.float64]:
+    """Return the mean displacement (3,) from open to closed of a finger group's pad.
+
+    The pad is the group's surface within 15 mm of the TCP's height and 10 mm of its innermost point there.
+    """
+    meshes = [m for m in gripper.body_meshes("visual") if gripper.finger_groups[m.body] == group]
+    before, after = gripper.body_poses("open"), gripper.body_poses("closed")
+    rng = np.random.default_rng(0)
+    starts, ends = [], []
+    for mesh in meshes:
+        corner = mesh.vertices[mesh.faces]
+        area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+        chosen = rng.choice(len(area), count, p=area / area.sum())
+        weight = rng.dirichlet(np.ones(3), count)
+        points = np.einsum("nk,nki->ni", weight, corner[chosen])
+        starts.append(points @ before[mesh.body, :3, :3].T + before[mesh.body, :3, 3])
+        ends.append(points @ after[mesh.body, :3, :3].T + after[mesh.body, :3, 3])
+    start, end = np.concatenate(starts), np.concatenate(ends)
+    level = np.abs(start[:, 2] - gripper.tcp[2]) < PAD_HALF_HEIGHT
+    inner = np.abs(start[:, 0] - gripper.tcp[0])
+    pad = level & (inner < inner[level].min(initial=np.inf) + PAD_DEPTH)
+    if not pad.any():
+        return np.full(3, np.nan)
+    return (end[pad] - start[pad]).mean(axis=0)

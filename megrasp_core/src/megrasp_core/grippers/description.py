@@ -1,0 +1,255 @@
+"""The gripper description: `gripper.yaml` of DESIGN section 4, read strictly."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from megrasp_core.errors import DescriptionError
+from megrasp_core.grippers.fields import Fields
+
+FILE_NAME = "gripper.yaml"
+KINDS = ("parallel", "adaptive", "hand")
+MODEL_SUFFIXES = (".urdf", ".xml", ".mjcf")
+ASSET_PREFIX = "asset:"
+REQUIRED = (
+    "format", "name", "display_name", "kind", "model", "mount_from_model", "tcp", "postures", "actuation",
+    "max_width", "min_width", "fingers", "symmetry", "licence", "source",
+)  # fmt: skip
+VALID = (*REQUIRED, "flange_from_gripper")
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A rigid transform `a_from_b`: xyz in metres and a unit quaternion (x, y, z, w)."""
+
+    xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    quat: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+
+    def matrix(self) -> NDArray[np.float64]:
+        """Return the transform as a (4, 4) homogeneous matrix."""
+        out = np.eye(4)
+        out[:3, :3] = Rotation.from_quat(self.quat).as_matrix()
+        out[:3, 3] = self.xyz
+        return out
+
+
+@dataclass(frozen=True)
+class PostureDescription:
+    """A posture: joint positions, or actuator controls that the loader settles. Exactly one of them is given."""
+
+    joints: Mapping[str, float] | None = None
+    actuators: Mapping[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class Actuation:
+    """Position drive of a joint: stiffness (N/m or Nm/rad), force limit (N or Nm), joint damping, armature."""
+
+    kp: float
+    force: float
+    damping: float = 0.0
+    armature: float = 0.0
+
+
+@dataclass(frozen=True)
+class GripperDescription:
+    """Contents of a `gripper.yaml`. Lengths in metres, angles in radians; `tcp` is in the gripper frame."""
+
+    name: str
+    display_name: str
+    kind: str
+    model: str
+    mount_from_model: Pose
+    tcp: tuple[float, float, float]
+    open: PostureDescription
+    closed: PostureDescription
+    actuation: Mapping[str, Actuation]
+    max_width: float | None
+    min_width: float
+    fingers: tuple[tuple[str, ...], ...]
+    symmetry: int
+    licence: str
+    source: str
+    flange_from_gripper: Pose = field(default_factory=Pose)
+    folder: Path = field(default_factory=Path)
+
+    @property
+    def file(self) -> Path:
+        """The gripper.yaml this description was read from."""
+        return self.folder / FILE_NAME
+
+    @property
+    def model_path(self) -> Path:
+        """The model file. Raises DescriptionError when it is not there."""
+        if self.model.startswith(ASSET_PREFIX):
+            root = os.environ.get("MEGRASP_ASSETS")
+            if not root:
+                raise DescriptionError(
+                    f"{self.file}: 'model' is '{self.model}', but MEGRASP_ASSETS is not set; set it to the folder "
+                    "that holds grippers/"
+                )
+            path = Path(root) / "grippers" / self.model.removeprefix(ASSET_PREFIX)
+        else:
+            path = self.folder / self.model
+        if not path.is_file():
+            raise DescriptionError(f"{self.file}: 'model' is '{self.model}', but there is no file {path}")
+        return path
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contents of `gripper.yaml`; loading them gives an equal description."""
+
+        def posture(value: PostureDescription) -> dict[str, Any]:
+            if value.joints is not None:
+                return {"joints": dict(value.joints)}
+            return {"actuators": dict(value.actuators or {})}
+
+        def pose(value: Pose) -> dict[str, Any]:
+            return {"xyz": list(value.xyz), "quat": list(value.quat)}
+
+        out: dict[str, Any] = {
+            "format": 1,
+            "name": self.name,
+            "display_name": self.display_name,
+            "kind": self.kind,
+            "model": self.model,
+            "mount_from_model": pose(self.mount_from_model),
+            "tcp": list(self.tcp),
+            "postures": {"open": posture(self.open), "closed": posture(self.closed)},
+            "actuation": {key: vars(value).copy() for key, value in self.actuation.items()},
+            "max_width": self.max_width,
+            "min_width": self.min_width,
+            "fingers": [list(group) for group in self.fingers],
+            "symmetry": self.symmetry,
+            "licence": self.licence,
+            "source": self.source,
+        }
+        if self.flange_from_gripper != Pose():
+            out["flange_from_gripper"] = pose(self.flange_from_gripper)
+        return out
+
+
+def load_description(path: str | Path) -> GripperDescription:
+    """Read a `gripper.yaml`, or the one in a folder. Raises DescriptionError for every mistake in it.
+
+    The model file is not opened here: `megrasp_core.grippers.Gripper` checks joints, actuators and bodies.
+    """
+    file = Path(path).expanduser()
+    if file.is_dir():
+        file = file / FILE_NAME
+    if not file.is_file():
+        raise DescriptionError(
+            f"no gripper description at {file}; expected a {FILE_NAME} or a folder that holds one"
+        )
+    try:
+        data = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise DescriptionError(f"{file}: is not valid YAML: {' '.join(str(error).split())}") from error
+    return parse_description(data, file)
+
+
+def save_description(description: GripperDescription, folder: Path) -> Path:
+    """Write `gripper.yaml` into `folder` (made if missing) and return its path. The model file is not copied."""
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / FILE_NAME
+    text = yaml.safe_dump(description.to_dict(), sort_keys=False, default_flow_style=None, width=110)
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def parse_description(data: Any, file: Path) -> GripperDescription:
+    """Check the contents of a gripper.yaml and return them. Raises DescriptionError."""
+    top = Fields(data, str(file))
+    top.check_names(VALID, REQUIRED)
+    if top.data["format"] != 1:
+        raise top.error("format", f"must be 1, got {top.data['format']!r}")
+    name = top.text("name")
+    if not re.fullmatch(r"[a-z0-9_]+", name):
+        raise top.error("name", f"must consist of a-z, 0-9 and _, got '{name}'")
+    model = top.text("model")
+    if Path(model).suffix.lower() not in MODEL_SUFFIXES:
+        raise top.error("model", f"must end in one of {', '.join(MODEL_SUFFIXES)}, got '{model}'")
+    tx, ty, tz = top.numbers("tcp", 3)
+    if tz <= 0.0:
+        raise top.error("tcp", f"must lie in front of the palm (z > 0 in the gripper frame), got z = {tz:g}")
+    postures = top.sub("postures")
+    postures.check_names(("open", "closed"), ("open", "closed"))
+    kind = top.text("kind", KINDS)
+    max_width = None if top.data["max_width"] is None else top.number("max_width", above=0.0)
+    if max_width is None and kind != "hand":
+        raise top.error("max_width", f"may be null for hands only; kind is '{kind}'")
+    min_width = top.number("min_width", minimum=0.0)
+    if max_width is not None and min_width >= max_width:
+        raise top.error("min_width", f"must be less than max_width {max_width:g}, got {min_width:g}")
+    return GripperDescription(
+        name=name,
+        display_name=top.text("display_name"),
+        kind=kind,
+        model=model,
+        mount_from_model=_pose(top, "mount_from_model"),
+        tcp=(tx, ty, tz),
+        open=_posture(postures, "open"),
+        closed=_posture(postures, "closed"),
+        actuation=_actuation(top),
+        max_width=max_width,
+        min_width=min_width,
+        fingers=_fingers(top),
+        symmetry=top.integer("symmetry", 1),
+        licence=top.text("licence"),
+        source=top.text("source"),
+        flange_from_gripper=_pose(top, "flange_from_gripper") if "flange_from_gripper" in top.data else Pose(),
+        folder=file.parent,
+    )
+
+
+def _pose(top: Fields, name: str) -> Pose:
+    fields = top.sub(name)
+    fields.check_names(("xyz", "quat"), ("xyz", "quat"))
+    x, y, z = fields.numbers("xyz", 3)
+    return Pose((x, y, z), fields.quaternion("quat"))
+
+
+def _posture(postures: Fields, name: str) -> PostureDescription:
+    fields = postures.sub(name)
+    fields.check_names(("joints", "actuators"), ())
+    if len(fields.data) != 1:
+        given = " and ".join(str(key) for key in fields.data) or "neither"
+        raise fields.error(None, f"must hold exactly one of: joints, actuators; got {given}")
+    key = next(iter(fields.data))
+    values = fields.named_numbers(key)
+    return PostureDescription(joints=values) if key == "joints" else PostureDescription(actuators=values)
+
+
+def _actuation(top: Fields) -> dict[str, Actuation]:
+    outer = top.sub("actuation")
+    out = {}
+    for joint in outer.data:
+        drive = outer.sub(str(joint))
+        drive.check_names(("kp", "force", "damping", "armature"), ("kp", "force"))
+        optional = {key: drive.number(key, minimum=0.0) for key in ("damping", "armature") if key in drive.data}
+        out[str(joint)] = Actuation(drive.number("kp", above=0.0), drive.number("force", above=0.0), **optional)
+    return out
+
+
+def _fingers(top: Fields) -> tuple[tuple[str, ...], ...]:
+    value = top.data["fingers"]
+    groups = value if isinstance(value, list) else []
+    good = all(isinstance(group, list) and group and all(isinstance(link, str) for link in group) for group in groups)
+    if len(groups) < 2 or not good:
+        raise top.error(
+            "fingers", f"must be at least two lists of link names, opposing groups, the first on -X; got {value!r}"
+        )
+    flat = [link for group in groups for link in group]
+    twice = sorted({link for link in flat if flat.count(link) > 1})
+    if twice:
+        raise top.error("fingers", f"names the link '{twice[0]}' more than once")
+    return tuple(tuple(group) for group in groups)

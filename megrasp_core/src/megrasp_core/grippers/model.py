@@ -1,0 +1,154 @@
+"""Loading of URDF and MJCF models through `mujoco.MjSpec`, brought to one form for simulation and rendering.
+
+The form: a root body "gripper" whose frame is the gripper frame; visual geoms in group 2 without contacts; collision
+geoms in group 3 with contact bits that never meet another geom of the gripper; every joint that `actuation` names
+driven by a position actuator; gravity compensated. The lessons behind the numbers are in docs (simulation).
+"""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from megrasp_core.errors import DescriptionError
+from megrasp_core.grippers.actuation import apply_actuation
+from megrasp_core.grippers.description import GripperDescription
+
+ROOT_BODY = "gripper"
+VISUAL_GROUP = 2
+COLLISION_GROUP = 3
+CONTACT_TYPE = 2
+CONTACT_AFFINITY = 1
+# Contact stiffness of the fingers counts against every object (solmix), friction is left to the object: MuJoCo takes
+# the larger of the two coefficients, so the gripper's own must be small.
+SOLREF = (0.004, 1.0)
+SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
+SOLMIX = 1000.0
+FRICTION = (0.05, 0.001, 0.0001)
+
+_log = logging.getLogger(__name__)
+
+
+def build_spec(description: GripperDescription) -> mujoco.MjSpec:
+    """Return the wrapped model of a description. Raises DescriptionError when it cannot be read or does not fit."""
+    path = description.model_path
+    try:
+        child = mujoco.MjSpec.from_file(str(path))
+    except (ValueError, mujoco.FatalError) as error:
+        raise DescriptionError(f"{description.file}: cannot read the model {path}: {error}") from error
+    child.compiler.fusestatic = False
+    child.compiler.discardvisual = False
+    _strip(child)
+    _name_joints(child, description)
+    _prepare_geoms(child)
+    apply_actuation(child, description)
+    wrapped = _wrap(child, description)
+    _check_bodies(wrapped, description)
+    return wrapped
+
+
+def compile_spec(spec: mujoco.MjSpec, description: GripperDescription) -> mujoco.MjModel:
+    """Compile a wrapped model. Raises DescriptionError with MuJoCo's reason."""
+    try:
+        with _quiet_mujoco(), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise DescriptionError(
+            f"{description.file}: MuJoCo cannot compile {description.model_path}: {error}"
+        ) from error
+
+
+def _strip(spec: mujoco.MjSpec) -> None:
+    """Delete what a gripper on a mount must not bring along."""
+    for element in [*spec.keys, *spec.lights, *spec.cameras, *spec.pairs]:
+        spec.delete(element)
+
+
+def _name_joints(spec: mujoco.MjSpec, description: GripperDescription) -> None:
+    """Give unnamed joints a name, clear URDF effort clamps, refuse joints that are not hinge or slide."""
+    for index, joint in enumerate(spec.joints):
+        if joint.type not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+            raise DescriptionError(
+                f"{description.file}: the model has a joint '{joint.name}' that is neither hinge nor slide; "
+                "remove free and ball joints from the gripper's model"
+            )
+        joint.name = joint.name or f"joint_{index}"
+        joint.actfrclimited = int(mujoco.mjtLimited.mjLIMITED_FALSE)
+
+
+def _prepare_geoms(spec: mujoco.MjSpec) -> None:
+    """Split geoms into visual and collision ones; a body with collision geoms alone shows copies of them."""
+    for body in spec.bodies:
+        solid = [geom for geom in body.geoms if geom.contype or geom.conaffinity]
+        shown = [geom for geom in body.geoms if not (geom.contype or geom.conaffinity)]
+        if not shown:
+            shown = [_copy_geom(body, geom) for geom in solid]
+        for geom in shown:
+            geom.contype, geom.conaffinity, geom.group = 0, 0, VISUAL_GROUP
+        for geom in solid:
+            geom.contype, geom.conaffinity, geom.group = CONTACT_TYPE, CONTACT_AFFINITY, COLLISION_GROUP
+            geom.condim, geom.priority, geom.solmix = 4, 0, SOLMIX
+            geom.solref, geom.solimp, geom.friction = SOLREF, SOLIMP, FRICTION
+            geom.margin, geom.gap = 0.0, 0.0
+        body.gravcomp = 1.0
+
+
+def _copy_geom(body: mujoco.MjsBody, geom: mujoco.MjsGeom) -> mujoco.MjsGeom:
+    """Add a massless copy of the shape of `geom` to its body."""
+    return body.add_geom(
+        type=geom.type, size=geom.size, pos=geom.pos, quat=geom.quat, fromto=geom.fromto, meshname=geom.meshname,
+        rgba=geom.rgba, material=geom.material, mass=0.0,
+    )  # fmt: skip
+
+
+def _wrap(child: mujoco.MjSpec, description: GripperDescription) -> mujoco.MjSpec:
+    """Put the model below a body "gripper", turned so that the body's frame is the gripper frame."""
+    spec = mujoco.MjSpec()
+    spec.modelname = description.name
+    for name in ("integrator", "cone", "impratio"):
+        setattr(child.option, name, getattr(spec.option, name))
+    child.option.timestep = spec.option.timestep
+    child.option.noslip_iterations = spec.option.noslip_iterations
+    mount = description.mount_from_model
+    x, y, z, w = Rotation.from_quat(mount.quat).as_quat()
+    root = spec.worldbody.add_body(name=ROOT_BODY, gravcomp=1.0)
+    frame = root.add_frame(pos=np.array(mount.xyz), quat=np.array([w, x, y, z]))
+    with _quiet_mujoco(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        spec.attach(child, prefix="", frame=frame)
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = 10.0
+    return spec
+
+
+@contextmanager
+def _quiet_mujoco() -> Iterator[None]:
+    """Send MuJoCo's warnings to the log instead of stderr and a file in the working directory.
+
+    Attaching without a prefix warns about saving to XML; names without a prefix are what descriptions refer to.
+    """
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda text: _log.debug("MuJoCo: %s", text))
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+def _check_bodies(spec: mujoco.MjSpec, description: GripperDescription) -> None:
+    names = [body.name for body in spec.bodies if body.name not in ("world", ROOT_BODY)]
+    for group in description.fingers:
+        for link in group:
+            if link not in names:
+                raise DescriptionError(
+                    f"{description.file}: 'fingers' names the link '{link}', which the model does not have; valid "
+                    f"links: {', '.join(names)}"
+                )

@@ -1,0 +1,72 @@
+"""The registry: where grippers are found by name."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+from megrasp_core.errors import DescriptionError, UnknownGripperError
+from megrasp_core.grippers.description import FILE_NAME
+from megrasp_core.grippers.gripper import Gripper
+
+SHARE = Path("share") / "gripper_descriptions"
+PATH_VARIABLE = "MEGRASP_GRIPPER_PATH"
+
+
+def search_folders(extra_paths: Iterable[str | Path] = ()) -> list[Path]:
+    """Return the folders that are searched, first match wins.
+
+    In this order: `extra_paths`, `MEGRASP_GRIPPER_PATH`, `share/gripper_descriptions` of every colcon prefix
+    (`AMENT_PREFIX_PATH`), that of the Python prefix, `gripper_descriptions` of the checkout.
+    """
+    folders = [Path(path) for path in extra_paths]
+    folders += [Path(path) for path in os.environ.get(PATH_VARIABLE, "").split(":") if path]
+    prefixes = [path for path in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if path]
+    folders += [Path(prefix) / SHARE for prefix in (*prefixes, sys.prefix)]
+    folders += [parent / "gripper_descriptions" for parent in Path(__file__).resolve().parents]
+    found = dict.fromkeys(folder.expanduser().resolve() for folder in folders)
+    return [folder for folder in found if folder.is_dir()]
+
+
+def gripper_folders(extra_paths: Iterable[str | Path] = ()) -> dict[str, Path]:
+    """Return name -> folder of every registered gripper, sorted by name; the name is the folder's.
+
+    A search folder may hold grippers (`<name>/gripper.yaml`) or be one gripper's folder itself.
+    """
+    out: dict[str, Path] = {}
+    for folder in search_folders(extra_paths):
+        candidates = [folder] if (folder / FILE_NAME).is_file() else sorted(folder.iterdir())
+        for candidate in candidates:
+            if (candidate / FILE_NAME).is_file():
+                out.setdefault(candidate.name, candidate)
+    return dict(sorted(out.items()))
+
+
+def list_grippers(extra_paths: Iterable[str | Path] = ()) -> list[str]:
+    """Return the names of all registered grippers, sorted."""
+    return list(gripper_folders(extra_paths))
+
+
+def load_gripper(name_or_folder: str | Path, extra_paths: Iterable[str | Path] = ()) -> Gripper:
+    """Load a gripper by its registered name, or from the folder (or path) of a `gripper.yaml`.
+
+    Raises:
+        UnknownGripperError: no such name, and no such folder (code 200).
+        DescriptionError: the description is wrong (code 201).
+    """
+    folders = gripper_folders(extra_paths)
+    name = str(name_or_folder)
+    if name in folders:
+        gripper = Gripper.from_path(folders[name])
+        if gripper.name != name:
+            raise DescriptionError(
+                f"{gripper.description.file}: 'name' is '{gripper.name}', but the folder, which is the registered "
+                f"name, is called '{name}'; make them the same"
+            )
+        return gripper
+    path = Path(name_or_folder).expanduser()
+    if path.is_file() or path.is_dir():
+        return Gripper.from_path(path)
+    raise UnknownGripperError(name, folders)

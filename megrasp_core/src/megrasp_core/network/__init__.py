@@ -1,0 +1,24 @@
+"""SE(3)-equivariant network: scene encoder, gripper encoder, decoder and heads."""
+
+from .config import PRESETS, ModelConfig
+from .graph import SceneGraph, build_graph
+from .gripper_encoder import GripperCode
+from .model import GraspModel, Prediction
+from .scene_encoder import SceneField
+from .storage import find_model, list_models, load_model, model_folders, save_model
+
+__all__ = [
+    "PRESETS",
+    "GraspModel",
+    "GripperCode",
+    "ModelConfig",
+    "Prediction",
+    "SceneField",
+    "SceneGraph",
+    "build_graph",
+    "find_model",
+    "list_models",
+    "load_model",
+    "model_folders",
+    "save_model",
+]

@@ -1,0 +1,98 @@
+"""Shapes and sizes of the network, as stored in `config.json` of a model."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from ..errors import ModelError
+
+
+@dataclasses.dataclass(frozen=True)
+class ModelConfig:
+    """Sizes of one network (DESIGN section 6).
+
+    Irreps are written as e3nn does; parity is natural (0e, 1o, 2e).
+    """
+
+    fine_irreps: str = "32x0e+16x1o+8x2e"
+    """Features of the finest level."""
+    coarse_irreps: str = "64x0e+32x1o+16x2e"
+    """Features of the coarser levels."""
+    token_irreps: str = "48x0e+16x1o+8x2e"
+    """What a node hands to the decoder, before it is turned into the TCP frame."""
+    level_ratio: int = 4
+    """Nodes of a level divided by nodes of the next."""
+    levels: int = 3
+    blocks: tuple[int, ...] = (1, 2, 2)
+    """Convolution blocks on the way down, per level; the way up has one each."""
+    neighbours: int = 16
+    up_neighbours: int = 4
+    radii: tuple[float, ...] = (0.04, 0.08, 0.16)
+    """Range (m) of the radial basis per level."""
+    radial_functions: int = 12
+    radial_hidden: int = 32
+    width: int = 128
+    """Width of the decoder's tokens."""
+    heads: int = 4
+    decoder_blocks: int = 3
+    gripper_tokens: int = 32
+    """Tokens per posture; open and closed together are twice as many."""
+    gripper_layers: int = 2
+    scene_tokens: tuple[int, ...] = (96, 48, 32)
+    """Nodes per level that a pose looks at."""
+    selection_tokens: int = 16
+    """Gripper tokens that decide which nodes are near (farthest points of all tokens)."""
+    position_scale: float = 0.10
+    """Length (m) by which coordinates are divided before the Fourier features."""
+    position_octaves: int = 5
+    sigma_t: float = 0.08
+    sigma_r: float = 2.0
+    s_min: float = 0.03
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> ModelConfig:
+        """Read a config; unknown names are an error that lists the valid ones.
+
+        Raises:
+            ModelError: an unknown field.
+        """
+        names = {f.name for f in dataclasses.fields(cls)}
+        unknown = sorted(set(values) - names)
+        if unknown:
+            raise ModelError(
+                f"network config has unknown fields {unknown}; expected some of {sorted(names)}. "
+                "The model was made by another version: install that version or retrain."
+            )
+        lists = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+        return cls(**lists)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return dataclasses.asdict(self)
+
+
+PRESETS: dict[str, ModelConfig] = {
+    "tiny": ModelConfig(
+        fine_irreps="8x0e+4x1o+2x2e",
+        coarse_irreps="8x0e+4x1o+2x2e",
+        token_irreps="8x0e+4x1o+2x2e",
+        blocks=(1, 1, 1),
+        width=16,
+        heads=2,
+        decoder_blocks=1,
+        gripper_tokens=8,
+        scene_tokens=(16, 8, 8),
+        selection_tokens=8,
+    ),
+    "small": ModelConfig(
+        fine_irreps="16x0e+8x1o+4x2e",
+        coarse_irreps="32x0e+16x1o+8x2e",
+        token_irreps="32x0e+8x1o+4x2e",
+        width=64,
+        gripper_tokens=16,
+        scene_tokens=(48, 24, 16),
+    ),
+    "base": ModelConfig(),
+}
+"""`tiny` for tests, `small` for training on a CPU, `base` for a GPU."""

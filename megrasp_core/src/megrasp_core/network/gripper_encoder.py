@@ -1,0 +1,90 @@
+"""Tokens of the gripper: points of its open and closed geometry in the TCP frame."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import torch
+from torch import Tensor, nn
+
+from .config import ModelConfig
+
+
+@dataclasses.dataclass(frozen=True)
+class GripperCode:
+    """A gripper as the decoder reads it.
+
+    Attributes:
+        points: `(G, 3)` m, TCP frame.
+        tokens: `(G, width)`.
+        selection: `(S,)` indices of the tokens that decide which scene nodes are near.
+    """
+
+    points: Tensor
+    tokens: Tensor
+    selection: Tensor
+
+
+class Fourier(nn.Module):
+    """Sines and cosines of coordinates in octaves, with the coordinates themselves."""
+
+    def __init__(self, scale: float, octaves: int) -> None:
+        super().__init__()
+        self.scale, self.octaves = scale, octaves
+        self.dim = 3 + 6 * octaves
+
+    def forward(self, points: Tensor) -> Tensor:
+        """`(..., 3)` m to `(..., dim)`."""
+        x = points / self.scale
+        waves = torch.cat([x * (math.pi * 0.5 * 2.0**k) for k in range(self.octaves)], -1)
+        return torch.cat([x, waves.sin(), waves.cos()], -1)
+
+
+class GripperEncoder(nn.Module):
+    """Two attention layers over the tokens of the open and the closed posture."""
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        width = config.width
+        self.selection_tokens = config.selection_tokens
+        self.fourier = Fourier(config.position_scale, config.position_octaves)
+        self.embed = nn.Sequential(
+            nn.Linear(self.fourier.dim + 7, 2 * width), nn.SiLU(), nn.Linear(2 * width, width)
+        )
+        self.layers = nn.ModuleList(
+            nn.TransformerEncoderLayer(
+                width, config.heads, 2 * width, dropout=0.0, activation="gelu",
+                batch_first=True, norm_first=True,
+            )  # fmt: skip
+            for _ in range(config.gripper_layers)
+        )
+
+    def forward(
+        self, points: Tensor, normals: Tensor, closed: Tensor, displacement: Tensor
+    ) -> GripperCode:
+        """Encode one gripper.
+
+        Args:
+            points: `(G, 3)` m, TCP frame, open and closed.
+            normals: `(G, 3)` unit.
+            closed: `(G,)` bool.
+            displacement: `(G, 3)` m, from the open to the closed place of the same surface point.
+        """
+        flag = closed[:, None].to(points.dtype)
+        motion = displacement / self.fourier.scale
+        x = self.embed(torch.cat([self.fourier(points), normals, motion, flag], -1))[None]
+        for layer in self.layers:
+            x = layer(x)
+        return GripperCode(points, x[0], spread(points, self.selection_tokens))
+
+
+def spread(points: Tensor, count: int) -> Tensor:
+    """Indices of `count` farthest points of `(G, 3)`, from the one nearest to the TCP on."""
+    distance = points.norm(dim=-1)
+    chosen = [int(distance.argmin())]
+    distance = (points - points[chosen[0]]).norm(dim=-1)
+    while len(chosen) < min(count, len(points)):
+        chosen.append(int(distance.argmax()))
+        distance = torch.minimum(distance, (points - points[chosen[-1]]).norm(dim=-1))
+    return torch.tensor(chosen, dtype=torch.long, device=points.device)

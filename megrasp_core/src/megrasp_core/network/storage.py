@@ -1,0 +1,122 @@
+"""Models on disk: `<id>/model.safetensors` and `config.json`, found in a fixed order of places."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+
+from ..errors import ModelError
+from .config import ModelConfig
+from .model import GraspModel
+
+WEIGHTS = "model.safetensors"
+CONFIG = "config.json"
+DEFAULT_MODEL = "megrasp-small"
+
+
+def model_folders() -> list[Path]:
+    """Folders that may hold models: `$MEGRASP_MODELS`, `share/megrasp_models`, the checkout."""
+    places = [Path(p) for p in os.environ.get("MEGRASP_MODELS", "").split(":") if p]
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(":"):
+        if prefix:
+            places.append(Path(prefix) / "share" / "megrasp_models")
+    checkout = Path(__file__).resolve().parents[4] / "models"
+    return [p for p in [*places, checkout] if p.is_dir()]
+
+
+def list_models() -> list[str]:
+    """Names of all models that can be found."""
+    names = {p.parent.name for folder in model_folders() for p in folder.glob(f"*/{CONFIG}")}
+    return sorted(names)
+
+
+def find_model(model: str | Path | None) -> Path:
+    """Folder of a model given by its id or folder; `None` is the default model.
+
+    Raises:
+        ModelError: no such model; the message lists those that exist.
+    """
+    name = str(model or DEFAULT_MODEL)
+    candidates = [Path(name)] if "/" in name or Path(name).is_dir() else []
+    candidates += [folder / name for folder in model_folders()]
+    for folder in candidates:
+        if (folder / CONFIG).is_file():
+            return folder
+    raise ModelError(
+        f"model {name!r} not found; expected a folder with {CONFIG} and {WEIGHTS}, or one of "
+        f"{list_models() or 'none'}. Give the folder, or set MEGRASP_MODELS to where models lie."
+    )
+
+
+def load_model(
+    model: str | Path | None = None,
+    *,
+    device: str | torch.device = "cpu",
+    dtype: torch.dtype = torch.float32,
+) -> GraspModel:
+    """Load a model for inference.
+
+    Raises:
+        ModelError: not found, or its files are damaged.
+    """
+    folder = find_model(model)
+    try:
+        info: dict[str, Any] = json.loads((folder / CONFIG).read_text())
+        network = ModelConfig.from_dict(info["network"])
+    except (OSError, json.JSONDecodeError, KeyError, TypeError) as error:
+        raise ModelError(
+            f"{folder / CONFIG} cannot be read ({error}); expected JSON with a 'network' entry. "
+            "Restore the file from the repository or retrain."
+        ) from error
+    result = GraspModel(network, model_id=str(info.get("model_id", folder.name)))
+    try:
+        weights = load_file(folder / WEIGHTS)
+        result.load_state_dict(weights)
+    except (OSError, SafetensorError, RuntimeError) as error:
+        raise ModelError(
+            f"weights {folder / WEIGHTS} are damaged or do not fit the config ({error}); expected the "
+            "file written with it. Restore the file from the repository or retrain."
+        ) from error
+    digest = info.get("sha256")
+    if digest and digest != file_digest(folder / WEIGHTS):
+        raise ModelError(
+            f"weights {folder / WEIGHTS} do not match the sha256 in {CONFIG}; expected {digest}. "
+            "Restore both files from the same version."
+        )
+    result.info = info
+    try:
+        result.to(device=device, dtype=dtype)
+    except (RuntimeError, AssertionError) as error:
+        raise ModelError(
+            f"device {device!r} cannot be used ({error}); expected cpu or an available cuda device."
+        ) from error
+    return result.eval().requires_grad_(False)
+
+
+def save_model(model: GraspModel, folder: str | Path, info: dict[str, Any] | None = None) -> Path:
+    """Write weights and config; `info` is added to `config.json` (training facts)."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    weights = {k: v.detach().cpu().contiguous() for k, v in model.state_dict().items()}
+    save_file(weights, folder / WEIGHTS)
+    content = {
+        "model_id": model.model_id,
+        "network": model.config.to_dict(),
+        "parameters": sum(v.numel() for v in weights.values()),
+        "sha256": file_digest(folder / WEIGHTS),
+        **(info or {}),
+    }
+    (folder / CONFIG).write_text(json.dumps(content, indent=2) + "\n")
+    return folder
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -1,0 +1,38 @@
+"""Ranking: collision with seen and unseen space, contact between the fingers, score (DESIGN
+section 6).
+"""
+
+from .check import REASONS, CheckSettings, GraspCheck, check_grasps, grasp_tilt
+from .contact import Contacts, ContactSettings, ContactSurface, contact_surface, measure_contacts
+from .depth_image import DepthImage, DepthImageSettings
+from .observation import ObservationSettings, PointState, SceneObservation
+from .probe import ClosingVolume, GripperProbe, ProbeSettings, closing_volume, gripper_probe
+from .rank import RankSettings, excluded, rejection_counts, score_grasps, suppress_duplicates
+
+__all__ = [
+    "REASONS",
+    "CheckSettings",
+    "ClosingVolume",
+    "ContactSettings",
+    "ContactSurface",
+    "Contacts",
+    "DepthImage",
+    "DepthImageSettings",
+    "GraspCheck",
+    "GripperProbe",
+    "ObservationSettings",
+    "PointState",
+    "ProbeSettings",
+    "RankSettings",
+    "SceneObservation",
+    "check_grasps",
+    "closing_volume",
+    "contact_surface",
+    "excluded",
+    "grasp_tilt",
+    "gripper_probe",
+    "measure_contacts",
+    "rejection_counts",
+    "score_grasps",
+    "suppress_duplicates",
+]

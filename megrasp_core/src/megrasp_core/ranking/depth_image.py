@@ -1,0 +1,218 @@
+"""Depth image of a cloud as its sensor saw it: what lies in front of a seen surface and what
+behind it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from ..errors import CloudError, InvalidRequestError
+
+__all__ = ["DepthImage", "DepthImageSettings"]
+
+
+@dataclass(frozen=True)
+class DepthImageSettings:
+    """How the depth image is drawn.
+
+    Attributes:
+        pitch_in_spacings: pixel pitch in units of the mean point spacing as seen from the sensor.
+            Above 1, so that the raster of an organised cloud does not leave moire holes.
+        max_side: longest side of the image (pixels).
+        max_tangent: half opening of the image (tangent of the angle to its axis); points outside
+            are unobserved.
+        fill_passes: passes of the 3x3 filling of single empty pixels.
+        fill_neighbours: an empty pixel is filled when at least so many of its 8 neighbours are
+            seen.
+        lateral: across-the-ray tolerance (m): a point is behind the surface only when it is behind
+            every pixel within this distance, so that a surface seen at a grazing angle is not read
+            as a deep penetration.
+        hole: distance (m) over which the rim of an unobserved patch is searched for the nearest
+            surface.
+    """
+
+    pitch_in_spacings: float = 1.5
+    max_side: int = 1024
+    max_tangent: float = 1.5
+    fill_passes: int = 2
+    fill_neighbours: int = 3
+    lateral: float = 0.003
+    hole: float = 0.015
+
+
+class DepthImage:
+    """Smallest depth per pixel of a pinhole image that looks from the sensor to the middle of the
+    cloud.
+
+    Three images of the same size, all depths along the optical axis (m, float32):
+
+    - `seen`: the depth, `inf` where nothing was seen. Single empty pixels between seen ones are
+      filled with the *nearest* of their 3x3 neighbours, so that sparse pixels do not read as free
+      space through a surface.
+    - `far`: the largest depth within the lateral tolerance; a point behind it by d is d inside the
+      shadow of the seen surface whatever the exact pixel.
+    - `front`: where nothing was seen, the smallest depth on the rim of the unobserved patch
+      (within `hole`), or the depth of the nearest seen pixel for larger patches. In front of it is
+      free (the rim's surface, or something behind it, stops the ray), behind it unknown. Equals
+      `seen` elsewhere.
+    """
+
+    def __init__(
+        self,
+        points: np.ndarray,
+        sensor: np.ndarray,
+        settings: DepthImageSettings | None = None,
+    ) -> None:
+        """Draw the image.
+
+        Args:
+            points: (K, 3) full crop of the cloud, any frame.
+            sensor: (3,) where the sensor was, same frame.
+            settings: see `DepthImageSettings`.
+
+        Raises:
+            CloudError: no point is given.
+            InvalidRequestError: fewer than half of the points lie in front of the sensor.
+        """
+        self.settings = settings or DepthImageSettings()
+        points = np.asarray(points)
+        if len(points) == 0:
+            raise CloudError(
+                "the depth image was given a cloud of 0 points; expected at least 1. Check the "
+                "crop."
+            )
+        self.sensor = np.asarray(sensor, dtype=np.float64).reshape(3)
+        middle = points.mean(axis=0, dtype=np.float64)
+        self.rotation = _looking_at(
+            middle - self.sensor
+        )  # (3, 3), rows: image x, image y, optical axis
+        rays = self._camera_points(points)
+        depth = rays[:, 2]
+        ok = depth > 1e-3
+        if ok.mean() < 0.5:
+            raise InvalidRequestError(
+                f"the sensor position {np.round(self.sensor, 3).tolist()} has {int(ok.sum())} of "
+                f"{len(points)} points in front of it; expected a position outside the cloud, in "
+                "the cloud's frame. Give the position of the camera in the frame of the cloud."
+            )
+        tangents = rays[ok, :2] / depth[ok, None]
+        depth = depth[ok]
+        inside = (np.abs(tangents) < self.settings.max_tangent).all(axis=1)
+        tangents, depth = tangents[inside], depth[inside]
+        self.origin, self.pitch, self.shape = _raster(tangents, self.settings)
+        self.pixel_size = float(self.pitch * np.median(depth))
+        self.seen = self._fill(self._splat(tangents, depth))
+        self.far = self._dilate(self.seen)
+        self.front = self._close(self.seen)
+
+    def lookup(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Depth of points and of the surface at their pixels.
+
+        Args:
+            points: (P, 3) in the frame of the cloud.
+
+        Returns:
+            depth (P,), seen (P,), far (P,), front (P,), float32 along the optical axis. Outside
+            the image `seen` is inf and `front` the value of the nearest border pixel.
+        """
+        rays = self._camera_points(points)
+        depth = rays[:, 2]
+        safe = np.maximum(depth, np.float32(1e-3))
+        column = (rays[:, 0] / safe - self.origin[0]) * np.float32(1.0 / self.pitch)
+        row = (rays[:, 1] / safe - self.origin[1]) * np.float32(1.0 / self.pitch)
+        height, width = self.shape
+        outside = (column < 0) | (row < 0) | (column >= width) | (row >= height)
+        np.clip(column, 0, width - 1, out=column)
+        np.clip(row, 0, height - 1, out=row)
+        index = row.astype(np.int32) * np.int32(width) + column.astype(np.int32)
+        seen = self.seen.ravel()[index]
+        seen[outside] = np.inf
+        return depth, seen, self.far.ravel()[index], self.front.ravel()[index]
+
+    def _camera_points(self, points: np.ndarray) -> np.ndarray:
+        # The difference is taken in the precision that is given: float64 for a cloud far from its
+        # origin.
+        points = np.asarray(points)
+        offset = points - self.sensor.astype(points.dtype)
+        return offset.astype(np.float32, copy=False) @ self.rotation.T.astype(np.float32)
+
+    def _splat(self, tangents: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        height, width = self.shape
+        pixel = ((tangents - self.origin) * np.float32(1.0 / self.pitch)).astype(np.int32)
+        np.clip(pixel, 0, [width - 1, height - 1], out=pixel)
+        image = np.full(height * width, np.inf, dtype=np.float32)
+        np.minimum.at(image, pixel[:, 1] * width + pixel[:, 0], depth)
+        return image.reshape(self.shape)
+
+    def _fill(self, image: np.ndarray) -> np.ndarray:
+        for _ in range(self.settings.fill_passes):
+            empty = ~np.isfinite(image)
+            count = (
+                ndimage.uniform_filter((~empty).astype(np.float32), size=3, mode="constant") * 9.0
+            )
+            fill = empty & (count > self.settings.fill_neighbours - 0.5)
+            if not fill.any():
+                break
+            nearest = ndimage.minimum_filter(image, size=3, mode="constant", cval=np.inf)
+            image = np.where(fill, nearest, image)
+        return image
+
+    def _dilate(self, image: np.ndarray) -> np.ndarray:
+        # A pixel already covers half a pitch to either side; more would make thin bodies vanish.
+        radius = max(1, int(self.settings.lateral / self.pixel_size - 0.5))
+        known = np.where(np.isfinite(image), image, -np.inf)
+        return ndimage.maximum_filter(known, size=2 * radius + 1, mode="nearest").astype(
+            np.float32
+        )
+
+    def _close(self, image: np.ndarray) -> np.ndarray:
+        empty = ~np.isfinite(image)
+        if not empty.any():
+            return image
+        size = 2 * max(1, round(self.settings.hole / self.pixel_size)) + 1
+        rim = ndimage.minimum_filter(image, size=size, mode="nearest")
+        rows, columns = ndimage.distance_transform_edt(
+            empty, return_distances=False, return_indices=True
+        )
+        nearest = image[rows, columns]
+        return np.where(empty, np.minimum(rim, nearest), image).astype(np.float32)
+
+
+def _looking_at(direction: np.ndarray) -> np.ndarray:
+    length = float(np.linalg.norm(direction))
+    if length < 1e-6:
+        raise InvalidRequestError(
+            "the sensor position is the middle of the cloud; expected a position outside it. Give "
+            "the position of the camera in the frame of the cloud."
+        )
+    axis = direction / length
+    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    x = np.cross(helper, axis)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(axis, x), axis])
+
+
+def _raster(
+    tangents: np.ndarray, settings: DepthImageSettings
+) -> tuple[np.ndarray, float, tuple[int, int]]:
+    """Origin (2,), pitch and (rows, columns) of an image whose pitch fits the density of the
+    points.
+    """
+    low, high = tangents.min(axis=0), tangents.max(axis=0)
+    extent = np.maximum(high - low, 1e-4)
+    # The occupied area is counted on a coarse raster: the crop of a bin is not a rectangle in the
+    # image.
+    cells = 48
+    pitch = float(extent.max()) / cells
+    cell = ((tangents - low) / pitch).astype(np.int32)
+    occupied = len(np.unique(cell[:, 0] * (cells + 2) + cell[:, 1]))
+    spacing = np.sqrt(occupied * pitch * pitch / len(tangents))
+    pitch = float(
+        max(spacing * settings.pitch_in_spacings, extent.max() / (settings.max_side - 2))
+    )
+    size = np.ceil(extent / pitch).astype(int) + 2
+    origin = (low - 0.5 * (size * pitch - extent)).astype(np.float32)
+    return origin, pitch, (int(size[1]), int(size[0]))

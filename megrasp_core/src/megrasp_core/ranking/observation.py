@@ -1,0 +1,217 @@
+"""What the camera saw and did not see, as a test for arbitrary points (DESIGN section 6,
+ranking).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..errors import InvalidRequestError
+from .depth_image import DepthImage, DepthImageSettings
+from .probe import thinned
+
+if TYPE_CHECKING:
+    from ..pointcloud import OrientedBox, Plane
+
+__all__ = ["ObservationSettings", "PointState", "SceneObservation"]
+
+
+class PointState(IntEnum):
+    """What is known about a point."""
+
+    FREE = 0
+    NEAR = 1  # within the margin of a seen surface
+    INSIDE = 2  # behind a seen surface by more than the margin and less than the shell: inside what was seen
+    UNSEEN = 3  # further behind a seen surface, or where nothing was seen
+    WALL = 4  # in or beyond a wall of the bin, below its top
+    FLOOR = 5  # below the bin's floor or the support plane
+
+
+@dataclass(frozen=True)
+class ObservationSettings:
+    """How points are classified.
+
+    Attributes:
+        margin: half thickness of the band around the seen surface that counts as touching (m):
+            DESIGN's 3 mm.
+        shell: behind the seen surface, a point is taken to be inside the seen body down to this
+            depth (m) and unknown beyond it. A gripper that enters a body from its seen side has to
+            cross this shell.
+        wall_margin: penetration into a wall of the bin that is tolerated (m).
+        floor_margin: penetration into the floor that is tolerated (m); the verdict allows 1 mm.
+        image: the depth image.
+    """
+
+    margin: float = 0.003
+    shell: float = 0.015
+    wall_margin: float = 0.001
+    floor_margin: float = 0.001
+    image: DepthImageSettings = field(default_factory=DepthImageSettings)
+
+
+class SceneObservation:
+    """Free, occupied and unknown space of one cloud.
+
+    The depth image is drawn from the full crop (before voxels and thinning). In front of the seen
+    surface is free, within the margin of it occupied (`NEAR`), behind it unknown; the first
+    `shell` behind it counts as inside the seen body (`INSIDE`). A pixel where nothing was seen is
+    free only in front of the nearest surface on its rim. With walls, the four sides of the region
+    are walls below the region's top and its bottom is the floor; outside the region above the
+    walls' top, where the crop holds no points, is free.
+    """
+
+    def __init__(
+        self,
+        points: np.ndarray,
+        sensor: np.ndarray,
+        *,
+        gravity: np.ndarray | None = None,
+        region: OrientedBox | None = None,
+        walls: bool = True,
+        floor: Plane | None = None,
+        settings: ObservationSettings | None = None,
+    ) -> None:
+        """Draw the depth image and orient the region.
+
+        Args:
+            points: (K, 3) full crop, scene frame.
+            sensor: (3,) position of the sensor, scene frame.
+            gravity: (3,) unit vector, or None where unknown. Tells which side of the region is its
+                bottom.
+            region: box that was cropped to, or None.
+            walls: the region is the inside of a bin.
+            floor: support plane (normal away from the support) for scenes without walls.
+            settings: see `ObservationSettings`.
+
+        Raises:
+            CloudError, InvalidRequestError: see `DepthImage`.
+        """
+        self.settings = settings or ObservationSettings()
+        self.points = np.asarray(points)
+        self.image = DepthImage(points, sensor, self.settings.image)
+        self.sensor = self.image.sensor
+        self.gravity = None if gravity is None else np.asarray(gravity, dtype=np.float64)
+        self.region = region
+        self.walls = bool(walls and region is not None)
+        self.floor = None if self.walls else floor
+        self._box_from_world: np.ndarray | None = None
+        self._half = np.zeros(3)
+        self._trees: dict[float, cKDTree] = {}
+        if region is not None:
+            self._box_from_world, self._half = self._upright(region)
+
+    def _upright(self, region: OrientedBox) -> tuple[np.ndarray, np.ndarray]:
+        """Transform into box axes with the third one up, and half sizes in that order."""
+        pose = np.asarray(region.world_from_box, dtype=np.float64)
+        up = -self.gravity if self.gravity is not None else self.sensor - pose[:3, 3]
+        along = pose[:3, :3].T @ up
+        axis = int(np.argmax(np.abs(along)))
+        order = [(axis + 1) % 3, (axis + 2) % 3, axis]
+        axes = pose[:3, :3][:, order]
+        if along[axis] < 0:
+            axes = axes * np.array([-1.0, 1.0, -1.0])
+        half = np.asarray(region.size, dtype=np.float64)[order] / 2
+        if not (half > 0).all():
+            raise InvalidRequestError(
+                f"the region has size {np.asarray(region.size).tolist()}; expected three positive "
+                "edges (m)."
+            )
+        box_from_world = np.eye(4)
+        box_from_world[:3, :3] = axes.T
+        box_from_world[:3, 3] = -axes.T @ pose[:3, 3]
+        return box_from_world, half
+
+    def box_coordinates(self, points: np.ndarray) -> np.ndarray:
+        """Points (P, 3) in the region's axes, third axis up, origin at its centre (float32).
+
+        Raises:
+            InvalidRequestError: the observation has no region.
+        """
+        if self._box_from_world is None:
+            raise InvalidRequestError(
+                "the observation has no region; give one to use its coordinates."
+            )
+        m = self._box_from_world
+        return (points @ m[:3, :3].T + m[:3, 3]).astype(np.float32)
+
+    def contains(self, points: np.ndarray, above: float = np.inf) -> np.ndarray:
+        """Whether points (P, 3) lie within the region's sides, over its bottom and less than
+        `above` over its top.
+
+        All true without a region.
+        """
+        if self._box_from_world is None:
+            return np.ones(len(points), dtype=bool)
+        p, half = self.box_coordinates(points), self._half
+        sides = (np.abs(p[:, :2]) <= half[:2]).all(axis=1)
+        return sides & (p[:, 2] >= -half[2]) & (p[:, 2] <= half[2] + above)
+
+    def signed_depth(self, points: np.ndarray) -> np.ndarray:
+        """Depth (P,) of points (P, 3) behind the seen surface along the optical axis (m); negative
+        in front.
+
+        Measured against the furthest surface within the lateral tolerance when behind, against the
+        pixel itself when in front. +inf where nothing was seen and the point is not in front of
+        the rim of that patch.
+        """
+        depth, seen, far, front = self.image.lookup(points)
+        unobserved = ~np.isfinite(seen)
+        return np.where(
+            unobserved,
+            np.where(depth < front - self.settings.margin, depth - front, np.inf),
+            np.where(depth < seen, depth - seen, np.maximum(depth - far, 0.0)),
+        ).astype(np.float32)
+
+    def classify(self, points: np.ndarray) -> np.ndarray:
+        """State (P,) int8 of every point (P, 3); see `PointState`. Walls and floor go before what
+        was seen.
+        """
+        s = self.settings
+        signed = self.signed_depth(points)
+        state = np.full(len(signed), PointState.UNSEEN, dtype=np.int8)
+        state[signed <= s.shell] = PointState.INSIDE
+        state[signed <= s.margin] = PointState.NEAR
+        state[signed < -s.margin] = PointState.FREE
+        if self.walls:
+            self._classify_walls(points, signed, state)
+        elif self.floor is not None:
+            state[self.floor.height(points) < -s.floor_margin] = PointState.FLOOR
+        return state
+
+    def _classify_walls(self, points: np.ndarray, signed: np.ndarray, state: np.ndarray) -> None:
+        s, half = self.settings, self._half
+        p = self.box_coordinates(points)
+        beyond = np.maximum(np.abs(p[:, 0]) - half[0], np.abs(p[:, 1]) - half[1])
+        below_top = half[2] - p[:, 2]
+        # The crop ends at the walls, so an unobserved pixel beside the bin says nothing about
+        # space over it.
+        state[(beyond > 0) & (below_top <= 0) & ~np.isfinite(signed)] = PointState.FREE
+        state[np.minimum(beyond, below_top) > s.wall_margin] = PointState.WALL
+        state[-half[2] - p[:, 2] > s.floor_margin] = PointState.FLOOR
+
+    def tree(self, spacing: float) -> cKDTree:
+        """Search tree of the crop thinned to one point per cell of this size (m); built once per
+        spacing.
+        """
+        if spacing not in self._trees:
+            self._trees[spacing] = cKDTree(thinned(self.points, spacing))
+        return self._trees[spacing]
+
+    def structure_distance(self, points: np.ndarray) -> np.ndarray:
+        """Distance (P,) of points (P, 3) to the nearest wall or floor (m), at least 0; inf without
+        either.
+        """
+        if self.walls:
+            p, half = self.box_coordinates(points), self._half
+            beyond = np.maximum(np.abs(p[:, 0]) - half[0], np.abs(p[:, 1]) - half[1])
+            below_top = half[2] - p[:, 2]
+            sides = np.where(beyond < 0, np.hypot(beyond, np.minimum(below_top, 0.0)), -below_top)
+            return np.maximum(np.minimum(sides, p[:, 2] + half[2]), 0.0)
+        if self.floor is not None:
+            return np.maximum(self.floor.height(points), 0.0)
+        return np.full(len(points), np.inf)

@@ -1,0 +1,83 @@
+"""The gripper in a world: dragged by its mount, fingers driven between two postures."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from megrasp_core.errors import SimulationError
+from megrasp_core.simulation.assembly import GRIPPER_PREFIX
+from megrasp_core.simulation.coordinates import read_pose, write_pose
+
+if TYPE_CHECKING:
+    from megrasp_core.grippers import Gripper
+
+Posture = Literal["open", "closed"]
+
+
+class Hand:
+    """Indices and commands of the gripper of one MuJoCo model.
+
+    position (3,), quaternion (4,) w first: where the gripper is dragged to; writing to them moves
+        the target. Raises SimulationError when the gripper's postures or controls do not fit its
+        model.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, gripper: Gripper) -> None:
+        self.gripper = gripper
+        self._data = data
+        mocap = int(model.body("hand").mocapid[0])
+        self.position: NDArray[np.float64] = data.mocap_pos[mocap]
+        self.quaternion: NDArray[np.float64] = data.mocap_quat[mocap]
+        self._ctrl: NDArray[np.float64] = data.ctrl
+        self._mount = np.arange(7) + int(model.joint("mount").qposadr[0])
+        joints = {
+            model.joint(j).name: int(model.jnt_qposadr[j])
+            for j in range(model.njnt)
+            if model.joint(j).name.startswith(GRIPPER_PREFIX)
+        }
+        self._postures: dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]] = {}
+        self._controls: dict[str, NDArray[np.float64]] = {}
+        for which in ("open", "closed"):
+            posture = {GRIPPER_PREFIX + name: q for name, q in gripper.posture(which).items()}
+            control = np.asarray(gripper.control(which), dtype=np.float64)
+            if set(posture) != set(joints) or control.shape != (model.nu,):
+                raise SimulationError(
+                    f"the {which} posture of gripper {gripper.name!r} names the joints "
+                    f"{sorted(posture)} and {control.size} controls; its model has the joints "
+                    f"{sorted(joints)} and {model.nu} actuators. Give every joint a value."
+                )
+            addresses = np.array([joints[name] for name in posture], dtype=np.int64)
+            self._postures[which] = addresses, np.array(list(posture.values()), dtype=np.float64)
+            self._controls[which] = control
+        self._stroke = self._controls["closed"] - self._controls["open"]
+        bodies = [
+            b
+            for b in range(model.nbody)
+            if model.body(b).name == "mount" or model.body(b).name.startswith(GRIPPER_PREFIX)
+        ]
+        self._dof = np.flatnonzero(np.isin(model.dof_bodyid, bodies))
+
+    def place(self, world_from_gripper: NDArray[np.float64], posture: Posture) -> None:
+        """Put the gripper, at rest in a posture, at a pose (4, 4), driven to hold that posture."""
+        data = self._data
+        write_pose(data.qpos, self._mount, world_from_gripper)
+        self.position[:] = data.qpos[self._mount[:3]]
+        self.quaternion[:] = data.qpos[self._mount[3:]]
+        addresses, values = self._postures[posture]
+        data.qpos[addresses] = values
+        data.qvel[self._dof] = 0.0
+        data.qacc_warmstart[self._dof] = 0.0
+        data.act[:] = 0.0
+        self._ctrl[:] = self._controls[posture]
+
+    def drive(self, share: float) -> None:
+        """Command the fingers: 0 the open posture, 1 the closed one, linear between."""
+        self._ctrl[:] = self._controls["open"] + share * self._stroke
+
+    def pose(self) -> NDArray[np.float64]:
+        """World-from-gripper (4, 4) where the gripper is now."""
+        return read_pose(self._data.qpos, self._mount)

@@ -1,0 +1,118 @@
+"""Depth images of a world by ray casting, on any machine, without OpenGL.
+
+Rays go through open3d's Embree scene, built from the same visual meshes and bin boxes as the
+MuJoCo model: `mj_multiRay` gives the same distances within 2 micrometres but takes about ten times
+as long (0.6 s against 0.05 s CPU for 640 x 480 and 12 scans of 2000 faces).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
+
+from megrasp_core.pointcloud import Cloud
+from megrasp_core.simulation.camera import Camera, depth_to_points
+from megrasp_core.simulation.depth_noise import DepthNoise
+from megrasp_core.simulation.support import SCENERY_COLOUR
+from megrasp_core.simulation.view import View
+from megrasp_core.simulation.world import SCENERY, World
+
+TABLE_HALF = 2.0
+"""Half edge of the table that rays can hit, m."""
+
+_BOX_FACES = np.array(
+    [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
+     [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]], dtype=np.uint32
+)  # fmt: skip
+_CORNERS = np.array(
+    [[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], dtype=np.float64
+)
+
+
+class Snapshot:
+    """The visible geometry of a world as it is now: objects in the scene, table and bin; never the
+    gripper."""
+
+    def __init__(self, world: World) -> None:
+        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+        owners: list[int] = []
+        poses = world.object_poses()
+        for index in world.present:
+            model, pose = world.objects[index], poses[index]
+            self._add(model.vertices @ pose[:3, :3].T + pose[:3, 3], model.faces)
+            owners.append(index)
+        if world.has_table:
+            square = _CORNERS[:4] * [TABLE_HALF, TABLE_HALF, 0.0]
+            self._add(square, np.array([[0, 1, 2], [1, 3, 2]]))
+            owners.append(SCENERY)
+        for centre, half in world.bin.wall_boxes() if world.bin is not None else ():
+            self._add(_CORNERS * half + centre, _BOX_FACES)
+            owners.append(SCENERY)
+        self._owners = np.array([*owners, SCENERY], dtype=np.int32)
+
+    def _add(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
+        self._scene.add_triangles(
+            o3d.core.Tensor(np.ascontiguousarray(vertices, dtype=np.float32)),
+            o3d.core.Tensor(np.ascontiguousarray(faces, dtype=np.uint32)),
+        )
+
+    def view(self, camera: Camera) -> View:
+        """Cast one ray a pixel."""
+        pose = camera.world_from_camera
+        directions = camera.rays() @ pose[:3, :3].T
+        rays = np.empty((camera.height, camera.width, 6), dtype=np.float32)
+        rays[..., :3] = pose[:3, 3]
+        rays[..., 3:] = directions
+        hit = self._scene.cast_rays(o3d.core.Tensor(rays), nthreads=1)
+        # Directions have z = 1 in the optical frame, so the ray parameter is the depth.
+        depth = hit["t_hit"].numpy()
+        normals = hit["primitive_normals"].numpy()
+        missed = ~np.isfinite(depth) | (depth > camera.far)
+        depth = np.where(missed, np.float32(0.0), depth)
+        owner = self._owners[np.minimum(hit["geometry_ids"].numpy(), len(self._owners) - 1)]
+        owner[missed] = SCENERY
+        cosine = np.abs(np.einsum("hwk,hwk->hw", normals, rays[..., 3:]))
+        cosine /= np.linalg.norm(rays[..., 3:], axis=-1)
+        return View(depth, owner, np.where(missed, np.float32(1.0), cosine))
+
+
+def render_view(world: World, camera: Camera) -> View:
+    """Depth, owner and incidence of every pixel, without noise."""
+    return Snapshot(world).view(camera)
+
+
+def render_depth(world: World, camera: Camera) -> NDArray[np.float32]:
+    """Depth image (h, w) in m without noise, 0 where nothing is within the camera's range."""
+    return render_view(world, camera).depth
+
+
+def observe(
+    world: World,
+    camera: Camera | Sequence[Camera],
+    noise: DepthNoise | None = None,
+    rng: np.random.Generator | None = None,
+) -> Cloud:
+    """Cloud in the world frame of what one or several cameras see; the gripper is never in it.
+
+    rng is needed with noise. The cloud's viewpoint is the camera's position (3,), for several
+    cameras that of the one that saw each point (N, 3). Colours are the mean colours of the
+    objects.
+    """
+    cameras = [camera] if isinstance(camera, Camera) else list(camera)
+    snapshot = Snapshot(world)
+    palette = np.array([*(model.colour for model in world.objects), SCENERY_COLOUR[:3]])
+    points, colors, origins = [], [], []
+    for one in cameras:
+        view = snapshot.view(one)
+        depth = view.depth
+        if noise is not None:
+            depth = noise.apply(view, rng if rng is not None else np.random.default_rng())
+        points.append(depth_to_points(depth, one))
+        colors.append(palette[view.owner[depth > 0]])
+        origins.append(np.broadcast_to(one.position, points[-1].shape))
+    viewpoint = cameras[0].position if len(cameras) == 1 else np.concatenate(origins)
+    return Cloud(np.concatenate(points), np.concatenate(colors), viewpoint)

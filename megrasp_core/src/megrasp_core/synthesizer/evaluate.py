@@ -1,0 +1,140 @@
+"""The check, the contact measurement and the score of a set of poses: one code for every stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..pointcloud import Plane, SurfaceCloud
+from ..ranking import (
+    Contacts,
+    ContactSurface,
+    GraspCheck,
+    GripperProbe,
+    SceneObservation,
+    check_grasps,
+    contact_surface,
+    excluded,
+    measure_contacts,
+    score_grasps,
+)
+from .poses import PoseSet
+from .request import SynthesisRequest
+from .settings import RankingSettings
+
+__all__ = ["Assessment", "SceneJudge", "seen_plane"]
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """Check, contacts (None where the fingers do not close along X) and score (N,) of N poses."""
+
+    check: GraspCheck
+    contacts: Contacts | None
+    score: np.ndarray
+
+
+class SceneJudge:
+    """Assesses poses against one observed scene.
+
+    The analytic baseline and the model's samples go through the same one.
+    """
+
+    def __init__(
+        self,
+        surface: SurfaceCloud,
+        request: SynthesisRequest,
+        settings: RankingSettings | None = None,
+    ) -> None:
+        """Draw the depth image and select the points that can be material.
+
+        Args:
+            surface: preprocessed cloud.
+            request: region, walls, limits and excluded poses.
+            settings: of the ranking.
+        """
+        self.settings = settings or RankingSettings()
+        self.request = request
+        plane = seen_plane(surface)
+        self.observation = SceneObservation(
+            surface.crop,
+            surface.sensor,
+            gravity=surface.gravity,
+            region=request.region,
+            walls=request.walls,
+            floor=plane,
+            settings=self.settings.observation,
+        )
+        self.material = self._material(surface, plane)
+
+    def assess(
+        self,
+        poses: PoseSet,
+        probe: GripperProbe,
+        confidence: np.ndarray | None,
+        *,
+        cheap: bool = False,
+    ) -> Assessment:
+        """Check and score poses.
+
+        Args:
+            poses: N poses.
+            probe: of the gripper.
+            confidence: (N,) probability of success or None.
+            cheap: the approach path is not tested, with the coarse points only.
+        """
+        request, s = self.request, self.settings
+        if cheap:
+            probe = replace(probe, points=probe.approach_points)
+        check = check_grasps(
+            self.observation,
+            probe,
+            poses.gripper,
+            None if cheap else poses.approach,
+            s.check,
+            max_tilt=request.max_tilt,
+        )
+        contacts = None
+        if probe.volume is not None:
+            contacts = measure_contacts(self.material, probe.volume, poses.gripper, s.contact)
+            check.reject(contacts.count < s.contact.min_points, "empty")
+        if request.exclude is not None:
+            again = excluded(poses.tcp, request.exclude, request.exclude_radius, probe.symmetry)
+            check.reject(again, "excluded")
+        return Assessment(check, contacts, score_grasps(check, contacts, confidence, s.rank))
+
+    def _material(self, surface: SurfaceCloud, plane: Plane | None) -> ContactSurface:
+        """Seen points off the support plane and, in a bin, off its floor and walls."""
+        s = self.settings.contact
+
+        def distance(points: np.ndarray) -> np.ndarray:
+            height = np.full(len(points), np.inf) if plane is None else plane.height(points)
+            if not self.observation.walls:
+                return height
+            outside = ~self.observation.contains(points)
+            nearest = np.minimum(height, self.observation.structure_distance(points))
+            return np.where(outside, 0.0, nearest)
+
+        return contact_surface(
+            surface.crop,
+            surface.points,
+            surface.normals,
+            distance(surface.crop),
+            distance(surface.points),
+            settings=s,
+        )
+
+
+def seen_plane(surface: SurfaceCloud) -> Plane | None:
+    """Support plane through the points that are flagged to lie on it, or None where too few
+    are.
+    """
+    points = surface.points[surface.on_plane]
+    if len(points) < 30:
+        return None
+    middle = points.mean(axis=0)
+    normal = np.linalg.svd(points - middle, full_matrices=False)[2][2]
+    up = surface.sensor - middle if surface.gravity is None else -surface.gravity
+    normal = normal if normal @ up > 0 else -normal
+    return Plane(normal, float(normal @ middle))

@@ -1,0 +1,138 @@
+"""What a caller asks for, checked before any work is done."""
+
+from __future__ import annotations
+
+import math
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ..errors import GravityError, InvalidRequestError
+from ..pointcloud import OrientedBox
+
+__all__ = ["MAX_DRAWN", "MAX_GRASPS", "Mode", "SynthesisRequest"]
+
+MAX_GRASPS = 1000
+"""Most grasps that one call returns."""
+
+MAX_DRAWN = 4096
+"""Most poses that one call draws."""
+
+Mode = Literal["default", "fast"]
+
+
+@dataclass(frozen=True)
+class SynthesisRequest:
+    """Arguments of one synthesis, validated. See `GraspSynthesizer.synthesize` for their meaning.
+
+    Raises:
+        InvalidRequestError: an argument is outside its range.
+        GravityError: gravity is no direction, or is needed and not given.
+    """
+
+    num_grasps: int = 20
+    drawn: int = 100
+    mode: Mode = "default"
+    gravity: np.ndarray | None = None
+    sensor: np.ndarray | None = None
+    region: OrientedBox | None = None
+    walls: bool = True
+    max_tilt: float | None = None
+    approach_distance: float = 0.10
+    approach_direction: Literal["tool", "gravity"] = "tool"
+    exclude: np.ndarray | None = None
+    exclude_radius: float = 0.02
+    seed: int | None = None
+    keep_all: bool = False
+
+    def __post_init__(self) -> None:
+        """Check every argument and bring the arrays to float64."""
+        n = _whole("num_grasps", self.num_grasps, 1, MAX_GRASPS, "Ask for fewer grasps.")
+        drawn = _whole("drawn", self.drawn, 1, MAX_DRAWN, "Draw fewer poses.")
+        if self.mode not in ("default", "fast"):
+            raise InvalidRequestError(
+                f"mode {self.mode!r} was given; expected 'default' or 'fast'."
+            )
+        # More cannot be returned than are drawn, and `fast` draws what it returns.
+        self._set("num_grasps", n)
+        self._set("drawn", n if self.mode == "fast" else max(drawn, n))
+        self._set("gravity", _direction(self.gravity))
+        if self.sensor is not None:
+            self._set("sensor", np.asarray(self.sensor, dtype=np.float64))
+        if self.max_tilt is not None and not 0 < self.max_tilt <= math.pi:
+            raise InvalidRequestError(
+                f"max_tilt {self.max_tilt} was given; expected an angle over 0 and up to pi "
+                "(rad), or none."
+            )
+        if not 0 <= self.approach_distance <= 1:
+            raise InvalidRequestError(
+                f"approach_distance {self.approach_distance} was given; expected 0 to 1 m."
+            )
+        if self.approach_direction not in ("tool", "gravity"):
+            raise InvalidRequestError(
+                f"approach_direction {self.approach_direction!r} was given; expected 'tool' or "
+                "'gravity'."
+            )
+        if self.gravity is None and (
+            self.approach_direction == "gravity" or self.max_tilt is not None
+        ):
+            raise GravityError(
+                "the direction of gravity is not known; expected a vector that points down in the "
+                "frame of the cloud, because an approach along gravity or a largest tilt was "
+                "asked for. Give gravity."
+            )
+        if not (np.isfinite(self.exclude_radius) and self.exclude_radius >= 0):
+            raise InvalidRequestError(
+                f"exclude_radius {self.exclude_radius} was given; expected a length of at least 0 "
+                "m."
+            )
+        self._set("exclude", _poses(self.exclude))
+        if self.seed is None:
+            self._set("seed", secrets.randbits(32))
+        else:
+            self._set("seed", _whole("seed", self.seed, 0, 2**63 - 1, "Give another one."))
+
+    def _set(self, name: str, value: object) -> None:
+        object.__setattr__(self, name, value)
+
+
+def _whole(name: str, value: object, low: int, high: int, advice: str) -> int:
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, (int, np.integer))
+        or not low <= value <= high
+    ):
+        raise InvalidRequestError(
+            f"{name} {value!r} was given; expected a whole number from {low} to {high}. {advice}"
+        )
+    return int(value)
+
+
+def _direction(gravity: Sequence[float] | np.ndarray | None) -> np.ndarray | None:
+    if gravity is None:
+        return None
+    vector = np.asarray(gravity, dtype=np.float64)
+    length = float(np.linalg.norm(vector)) if vector.shape == (3,) else math.nan
+    if not math.isfinite(length) or length < 1e-6:
+        raise GravityError(
+            f"gravity {vector.tolist()} was given; expected three numbers that point down in the "
+            "frame of the cloud, for example 0 0 -1 where z is up."
+        )
+    return vector / length
+
+
+def _poses(poses: Sequence[np.ndarray] | np.ndarray | None) -> np.ndarray:
+    stack = np.asarray([] if poses is None else poses, dtype=np.float64)
+    if stack.size == 0:
+        return np.zeros((0, 4, 4))
+    if stack.shape == (4, 4):
+        stack = stack[None]
+    if stack.ndim != 3 or stack.shape[1:] != (4, 4) or not np.isfinite(stack).all():
+        raise InvalidRequestError(
+            f"exclude has shape {stack.shape}; expected (E, 4, 4) finite TCP poses. Give "
+            "world_from_tcp of the grasps that failed."
+        )
+    return stack

@@ -1,0 +1,118 @@
+"""What a synthesis returns, and `grasps.json`."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..lie.pose import pose7_from_matrix
+
+__all__ = ["RankedGrasp", "Synthesis"]
+
+
+@dataclass(frozen=True, eq=False)
+class RankedGrasp:
+    """One grasp, poses (4, 4) in the frame of the cloud.
+
+    Attributes:
+        world_from_tcp: pre-grasp, TCP frame.
+        world_from_gripper: pre-grasp, gripper frame, open posture.
+        world_from_gripper_approach: gripper frame at the stand-off.
+        score: 0..1, higher is better.
+        width: extent of what is between the fingers along X (m); NaN where undefined.
+        clearance: distance of the open gripper to the nearest seen point or wall (m).
+        tilt: angle between gripper +Z and gravity (rad); NaN where gravity is not known.
+        collision_free: the grasp passed the check.
+        reason: why it did not, "" where it did.
+    """
+
+    world_from_tcp: np.ndarray
+    world_from_gripper: np.ndarray
+    world_from_gripper_approach: np.ndarray
+    score: float
+    width: float
+    clearance: float
+    tilt: float
+    collision_free: bool
+    reason: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Entry of `grasps` in grasps.json; undefined numbers become null."""
+        content: dict[str, Any] = {
+            "world_from_tcp": _pose(self.world_from_tcp),
+            "world_from_gripper": _pose(self.world_from_gripper),
+            "world_from_gripper_approach": _pose(self.world_from_gripper_approach),
+            "score": _number(self.score),
+            "width": _number(self.width),
+            "clearance": _number(self.clearance),
+            "tilt": _number(self.tilt),
+            "collision_free": self.collision_free,
+        }
+        if self.reason:
+            content["reason"] = self.reason
+        return content
+
+
+@dataclass(frozen=True, eq=False)
+class Synthesis:
+    """Outcome of one synthesis.
+
+    Attributes:
+        grasps: best first; those that fail the check last (only with keep_all).
+        rejected: number of drawn poses per reason; together with the returned ones that passed
+            they make `drawn`.
+        timing: seconds of perceive, encode, sample, rank and total.
+        seed: the one used.
+        drawn: poses drawn.
+        evaluations: evaluations of the denoiser that a fully refined pose went through.
+        gripper: name.
+        model: id.
+    """
+
+    grasps: list[RankedGrasp]
+    rejected: dict[str, int]
+    timing: dict[str, float]
+    seed: int
+    drawn: int
+    evaluations: int
+    gripper: str
+    model: str
+    extra: dict[str, Any] = field(default_factory=dict)
+
+    def to_json(self, frame: str = "world") -> dict[str, Any]:
+        """Content of grasps.json (see INTERFACES).
+
+        Args:
+            frame: name of the frame that the poses are in.
+        """
+        return {
+            "frame": frame,
+            "gripper": self.gripper,
+            "model": self.model,
+            "seed": self.seed,
+            "drawn": self.drawn,
+            "evaluations": self.evaluations,
+            "grasps": [grasp.to_json() for grasp in self.grasps],
+            "rejected": dict(self.rejected),
+            "timing": {key: round(value, 5) for key, value in self.timing.items()},
+            **self.extra,
+        }
+
+    def write_json(self, path: str | Path, frame: str = "world") -> None:
+        """Write grasps.json; missing folders are made."""
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(self.to_json(frame), indent=1, allow_nan=False) + "\n")
+
+
+def _pose(matrix: np.ndarray) -> list[float]:
+    return [round(float(v), 9) for v in pose7_from_matrix(matrix)]
+
+
+def _number(value: float) -> float | None:
+    return round(float(value), 6) if math.isfinite(value) else None

@@ -1,0 +1,210 @@
+"""One pass from cloud to ranked grasps."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..diffusion import NoiseSchedule, SamplerStep, descend, last_step, refine
+from ..errors import CancelledError
+from ..grippers import Gripper
+from ..network import GraspModel, GripperCode, SceneField
+from ..pointcloud import Cloud, SceneNodes, SceneSettings, scene_nodes, surface_cloud
+from ..ranking import GripperProbe
+from .evaluate import Assessment, SceneJudge
+from .poses import PoseSet, pose_set
+from .request import SynthesisRequest
+from .result import Synthesis
+from .selection import collect
+from .settings import SynthesizerSettings
+from .starts import draw_starts, has_head
+
+__all__ = ["Cancelled", "MountedGripper", "OnStep", "SynthesisRun"]
+
+LOGGER = logging.getLogger(__name__)
+
+OnStep = Callable[[str, int, int], None]
+"""(phase, step, steps of the phase)."""
+
+Cancelled = Callable[[], bool]
+
+
+@dataclass(frozen=True)
+class MountedGripper:
+    """A gripper as the model and the check see it."""
+
+    gripper: Gripper
+    code: GripperCode
+    probe: GripperProbe
+
+
+class SynthesisRun:
+    """One synthesis, for one cloud."""
+
+    def __init__(
+        self,
+        model: GraspModel,
+        mounted: MountedGripper,
+        request: SynthesisRequest,
+        *,
+        schedule: NoiseSchedule,
+        scene_settings: SceneSettings,
+        settings: SynthesizerSettings,
+        on_step: OnStep | None = None,
+        cancelled: Cancelled | None = None,
+    ) -> None:
+        self.model, self.schedule = model, schedule
+        self.settings, self.scene_settings = settings, scene_settings
+        self.mounted, self.request = mounted, request
+        self.on_step, self.cancelled = on_step, cancelled
+        self.timing: dict[str, float] = {}
+        self.generator = torch.Generator(device=self.model.device)
+        self.generator.manual_seed(int(request.seed or 0))
+        sampler = self.settings.sampler
+        self.keep = request.drawn
+        if request.mode == "default" and self.model.device.type == "cpu" and sampler.restarts:
+            self.keep = min(self.settings.refined, request.drawn)
+        self.total = sampler.evaluations
+
+    def run(self, cloud: Cloud) -> Synthesis:
+        """All phases; see `GraspSynthesizer.synthesize`."""
+        start = time.perf_counter()
+        nodes, judge = self._perceive(cloud)
+        scene = self._encode(nodes)
+        with self._phase("sample"):
+            rotation, translation = self._descend(scene)
+            first = self._assess(judge, scene, nodes, rotation, translation, cheap=True)
+            chosen = self._best(first[1]) if self.keep < self.request.drawn else slice(None)
+            rotation, translation = self._refine(scene, rotation[chosen], translation[chosen])
+        with self._phase("rank"):
+            final = self._assess(judge, scene, nodes, rotation, translation, cheap=False)
+            rest = (
+                None
+                if isinstance(chosen, slice)
+                else (first, np.setdiff1d(_all(first[0]), chosen))
+            )
+            grasps, rejected = collect(
+                final, rest, self.mounted.probe, self.request, self.settings.ranking
+            )
+        self._tell("rank", 1, 1)
+        self.timing["total"] = time.perf_counter() - start
+        LOGGER.debug(
+            "synthesis: %d grasps, rejected %s, seconds %s", len(grasps), rejected, self.timing
+        )
+        return Synthesis(
+            grasps=grasps,
+            rejected=rejected,
+            timing=self.timing,
+            seed=int(self.request.seed or 0),
+            drawn=self.request.drawn,
+            evaluations=self.total,
+            gripper=self.mounted.gripper.name,
+            model=self.model.model_id,
+        )
+
+    def _perceive(self, cloud: Cloud) -> tuple[SceneNodes, SceneJudge]:
+        request = self.request
+        with self._phase("perceive"):
+            surface = surface_cloud(
+                cloud,
+                sensor=request.sensor,
+                gravity=request.gravity,
+                region=request.region,
+                settings=self.scene_settings,
+            )
+            nodes = scene_nodes(surface, self.scene_settings)
+            judge = SceneJudge(surface, request, self.settings.ranking)
+        self._tell("perceive", 1, 1)
+        return nodes, judge
+
+    def _encode(self, nodes: SceneNodes) -> SceneField:
+        with self._phase("encode"):
+            scene = self.model.encode_scene(nodes)
+        self._tell("encode", 1, 1)
+        return scene
+
+    def _descend(self, scene: SceneField) -> tuple[Tensor, Tensor]:
+        starts = draw_starts(
+            self.model, scene, self.mounted.code, self.request.drawn, self.generator
+        )
+        steps = descend(
+            self._denoiser(scene), starts, self.settings.sampler, self.schedule, self.generator
+        )
+        last = last_step(steps, self._sampled, self.cancelled)
+        return last.rotation, last.translation
+
+    def _refine(
+        self, scene: SceneField, rotation: Tensor, translation: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        sampler = self.settings.sampler
+        if sampler.restarts == 0 or len(rotation) == 0:
+            return rotation, translation
+        done = sampler.descend_evaluations
+
+        def tell(step: SamplerStep) -> None:
+            self._sampled(replace(step, index=done + step.index))
+
+        steps = refine(
+            self._denoiser(scene), rotation, translation, sampler, self.schedule, self.generator
+        )
+        last = last_step(steps, tell, self.cancelled)
+        return last.rotation, last.translation
+
+    def _denoiser(self, scene: SceneField) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
+        def denoise(rotation: Tensor, translation: Tensor, s: Tensor) -> Tensor:
+            said = self.model.predict(scene, self.mounted.code, rotation, translation, s)
+            if self.settings.sampler.uses_score:
+                return torch.cat([said.residual[:, :3], said.score], dim=-1)
+            return said.residual
+
+        return denoise
+
+    def _assess(
+        self,
+        judge: SceneJudge,
+        scene: SceneField,
+        nodes: SceneNodes,
+        rotation: Tensor,
+        translation: Tensor,
+        *,
+        cheap: bool,
+    ) -> tuple[PoseSet, Assessment]:
+        poses = pose_set(rotation, translation, nodes.centroid, self.mounted.gripper, self.request)
+        confidence = None
+        if has_head(self.model, "confidence"):
+            logit = self.model.confidence(scene, self.mounted.code, rotation, translation)
+            confidence = logit.sigmoid().cpu().double().numpy()
+        return poses, judge.assess(poses, self.mounted.probe, confidence, cheap=cheap)
+
+    def _best(self, assessment: Assessment) -> np.ndarray:
+        """Indices of the poses that go on: those that pass before those that do not, each by
+        score.
+        """
+        order = np.lexsort((-assessment.score, ~assessment.check.passed))
+        return np.sort(order[: self.keep])
+
+    def _sampled(self, step: SamplerStep) -> None:
+        self._tell("sample", step.index, self.total)
+
+    def _tell(self, phase: str, step: int, total: int) -> None:
+        if self.on_step is not None:
+            self.on_step(phase, step, total)
+        if phase != "sample" and self.cancelled is not None and self.cancelled():
+            raise CancelledError(f"cancelled after phase {phase!r}")
+
+    @contextmanager
+    def _phase(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.timing[name] = time.perf_counter() - start
+
+
+def _all(poses: PoseSet) -> np.ndarray:
+    return np.arange(len(poses))

@@ -1,0 +1,56 @@
+"""Where the samples start: nodes at which a grasp is likely, or any node that is not on the
+support plane.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ..network import GraspModel, GripperCode, SceneField
+
+__all__ = ["draw_starts", "has_head"]
+
+UNIFORM_SHARE = 0.2
+"""Share of the starts that are drawn uniformly even with graspability: coverage comes from the
+starts."""
+
+
+def has_head(model: GraspModel, name: str) -> bool:
+    """Whether a head (`confidence`, `graspability`) was trained, as `config.json` states under
+    `heads`.
+    """
+    heads = model.info.get("heads", ())
+    return isinstance(heads, (list, tuple)) and name in heads
+
+
+def draw_starts(
+    model: GraspModel,
+    scene: SceneField,
+    code: GripperCode,
+    count: int,
+    generator: torch.Generator,
+) -> Tensor:
+    """Points (count, 3) in centred scene coordinates (m); the sampler adds the noise of s = 1 to
+    them.
+
+    Args:
+        model: whose graspability head is used where it was trained.
+        scene: encoded scene.
+        code: encoded gripper.
+        count: how many.
+        generator: on the device of the scene.
+    """
+    fine = scene.points[0]
+    free = torch.nonzero(~scene.plane).flatten()
+    if len(free) == 0:
+        free = torch.arange(len(fine), device=fine.device)
+    uniform = fine[
+        free[torch.randint(len(free), (count,), generator=generator, device=fine.device)]
+    ]
+    if not has_head(model, "graspability"):
+        return uniform
+    probability = model.graspability(scene, code).sigmoid()
+    index = torch.multinomial(probability + 1e-6, count, replacement=True, generator=generator)
+    keep = torch.rand(count, generator=generator, device=fine.device) < UNIFORM_SHARE
+    return torch.where(keep[:, None], uniform, scene.points[1][index])

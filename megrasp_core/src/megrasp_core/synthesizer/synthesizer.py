@@ -1,0 +1,209 @@
+"""`GraspSynthesizer`: cloud in, ranked grasps out. One for the CLI, the evaluation and the ROS
+node.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+
+from ..diffusion import NoiseSchedule
+from ..errors import InvalidRequestError
+from ..grippers import Gripper, load_gripper
+from ..network import GraspModel, load_model
+from ..pointcloud import Cloud, OrientedBox, SceneSettings
+from ..ranking import GripperProbe, gripper_probe
+from .request import Mode, SynthesisRequest
+from .result import Synthesis
+from .run import Cancelled, MountedGripper, OnStep, SynthesisRun
+from .settings import SynthesizerSettings
+
+__all__ = ["GraspSynthesizer"]
+
+
+class GraspSynthesizer:
+    """A model and a gripper, ready for clouds.
+
+    The scene is encoded once per cloud, a gripper once in the life of the synthesizer. Not for
+    several threads at a time.
+
+        synthesizer = GraspSynthesizer.load(gripper="robotiq_2f85")
+        grasps = synthesizer.synthesize(read_cloud("bin.ply"), num_grasps=20, gravity=(0, 0,
+        -1)).grasps
+    """
+
+    def __init__(
+        self,
+        model: GraspModel,
+        gripper: Gripper | str | Path | None = None,
+        *,
+        settings: SynthesizerSettings | None = None,
+        threads: int | None = None,
+    ) -> None:
+        """Take a loaded model.
+
+        Args:
+            model: on its device, in evaluation mode.
+            gripper: name, folder or loaded gripper; may be set later.
+            settings: see `SynthesizerSettings`.
+            threads: torch threads during a call; None leaves them as they are.
+
+        Raises:
+            UnknownGripperError, DescriptionError, InvalidRequestError.
+        """
+        if threads is not None and threads < 1:
+            raise InvalidRequestError(
+                f"threads {threads} was given; expected at least 1, or none."
+            )
+        self.model = model
+        self.settings = settings or SynthesizerSettings()
+        self.threads = threads
+        config = model.config
+        process = str(model.info.get("process", "diffusion"))
+        self.schedule = NoiseSchedule(
+            config.sigma_t,
+            config.sigma_r,
+            config.s_min,
+            "flow" if process == "flow" else "diffusion",
+        )
+        self.scene_settings = self.settings.scene or _scene_settings(model)
+        self._encoded: dict[str, MountedGripper] = {}
+        self._mounted: MountedGripper | None = None
+        if gripper is not None:
+            self.set_gripper(gripper)
+
+    @classmethod
+    def load(
+        cls,
+        model: str | Path | None = None,
+        gripper: Gripper | str | Path | None = None,
+        device: str = "cpu",
+        threads: int | None = None,
+        settings: SynthesizerSettings | None = None,
+    ) -> GraspSynthesizer:
+        """Load a model by id or folder (None: the default model) and set a gripper.
+
+        Raises:
+            ModelError: the model is missing or damaged.
+            UnknownGripperError, DescriptionError: about the gripper.
+        """
+        return cls(load_model(model, device=device), gripper, settings=settings, threads=threads)
+
+    @property
+    def gripper(self) -> Gripper | None:
+        """The gripper that grasps are made for."""
+        return self._mounted.gripper if self._mounted else None
+
+    @property
+    def probe(self) -> GripperProbe | None:
+        """What the check uses of the gripper."""
+        return self._mounted.probe if self._mounted else None
+
+    def set_gripper(self, gripper: Gripper | str | Path) -> Gripper:
+        """Encode a gripper, or take it from the cache, and use it from now on.
+
+        Args:
+            gripper: registered name, folder of a gripper.yaml, or a loaded gripper.
+
+        Raises:
+            UnknownGripperError, DescriptionError: the gripper in use stays.
+        """
+        loaded = gripper if isinstance(gripper, Gripper) else load_gripper(gripper)
+        if loaded.hash not in self._encoded:
+            seed = self.settings.gripper_seed
+            with self._running():
+                tokens = loaded.tokens(count=self.model.config.gripper_tokens, seed=seed)
+                code = self.model.encode_gripper(tokens)
+            probe = gripper_probe(loaded, self.settings.probe)
+            self._encoded[loaded.hash] = MountedGripper(loaded, code, probe)
+        self._mounted = self._encoded[loaded.hash]
+        return self._mounted.gripper
+
+    def synthesize(
+        self,
+        cloud: Cloud,
+        *,
+        num_grasps: int = 20,
+        drawn: int = 100,
+        mode: Mode = "default",
+        gravity: Sequence[float] | np.ndarray | None = (0.0, 0.0, -1.0),
+        sensor: Sequence[float] | np.ndarray | None = None,
+        region: OrientedBox | None = None,
+        walls: bool = True,
+        max_tilt: float | None = None,
+        approach_distance: float = 0.10,
+        approach_direction: Literal["tool", "gravity"] = "tool",
+        exclude: Sequence[np.ndarray] | np.ndarray = (),
+        exclude_radius: float = 0.02,
+        seed: int | None = None,
+        keep_all: bool = False,
+        on_step: OnStep | None = None,
+        cancelled: Cancelled | None = None,
+    ) -> Synthesis:
+        """Draw grasps for a cloud, check and rank them.
+
+        Args:
+            cloud: in any frame, metres.
+            num_grasps: most grasps to return, 1 to `MAX_GRASPS`.
+            drawn: poses to draw, 1 to `MAX_DRAWN`; at least num_grasps are.
+            mode: `default`: all drawn go through the descent, the best `refined` through the
+                restarts; `fast`: num_grasps are drawn and all go through everything.
+            gravity: (3,) vector that points down in the cloud's frame; None where unknown.
+            sensor: (3,) where the sensor was; default: the cloud's viewpoint.
+            region: only points in it count.
+            walls: the region is the inside of a bin: its sides are walls, its bottom the floor.
+            max_tilt: largest angle between gripper +Z and gravity (rad).
+            approach_distance: between pre-grasp and approach pose (m).
+            approach_direction: back along gripper -Z (`tool`) or up (`gravity`).
+            exclude: (E, 4, 4) TCP poses that failed before.
+            exclude_radius: how near to them a grasp counts as the same (m).
+            seed: of everything drawn; None: a random one, which the result states.
+            keep_all: return the poses that fail the check as well, last, up to num_grasps in all.
+            on_step: called with (phase, step, steps of the phase); phases perceive, encode,
+                sample, rank.
+            cancelled: asked between steps.
+
+        Raises:
+            InvalidRequestError, GravityError, CloudError, EmptyRegionError, CancelledError.
+        """
+        request = SynthesisRequest(
+            num_grasps, drawn, mode, gravity, sensor, region, walls, max_tilt, approach_distance,
+            approach_direction, exclude, exclude_radius, seed, keep_all,
+        )  # fmt: skip
+        if self._mounted is None:
+            raise InvalidRequestError("no gripper is set; expected one. Call set_gripper first.")
+        with self._running():
+            return SynthesisRun(
+                self.model,
+                self._mounted,
+                request,
+                schedule=self.schedule,
+                scene_settings=self.scene_settings,
+                settings=self.settings,
+                on_step=on_step,
+                cancelled=cancelled,
+            ).run(cloud)
+
+    @contextmanager
+    def _running(self) -> Iterator[None]:
+        """No gradients, and the asked number of threads for the time of the call."""
+        before = torch.get_num_threads()
+        if self.threads is not None:
+            torch.set_num_threads(self.threads)
+        try:
+            with torch.inference_mode():
+                yield
+        finally:
+            if self.threads is not None:
+                torch.set_num_threads(before)
+
+
+def _scene_settings(model: GraspModel) -> SceneSettings:
+    """Preprocessing that the model was trained with, as `config.json` states it under `scene`."""
+    stated: Any = model.info.get("scene") or {}
+    return SceneSettings(**stated)

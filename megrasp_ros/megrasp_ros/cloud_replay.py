@@ -1,0 +1,69 @@
+"""Node that publishes one stored cloud again and again: grasp synthesis without a camera or a simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+from megrasp_core.errors import InvalidRequestError
+from megrasp_core.pointcloud import read_cloud
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+
+from megrasp_ros.cell_messages import cloud_message
+from megrasp_ros.node_main import run_node
+
+
+class CloudReplay(Node):
+    """Publishes `points` from a .ply, .pcd, .npz or .npy file, each time with a new stamp."""
+
+    def __init__(self) -> None:
+        super().__init__("cloud_replay")
+        path = self.declare_parameter(
+            "file",
+            "",
+            ParameterDescriptor(
+                description="cloud file (.ply .pcd .npz .npy), metres", read_only=True
+            ),
+        ).value
+        self._frame = self.declare_parameter(
+            "frame_id",
+            "world",
+            ParameterDescriptor(description="frame of the file's points", read_only=True),
+        ).value
+        rate = self.declare_parameter(
+            "rate",
+            2.0,
+            ParameterDescriptor(
+                description="clouds per second (Hz)",
+                read_only=True,
+                floating_point_range=[FloatingPointRange(from_value=0.01, to_value=100.0)],
+            ),
+        ).value
+        if not path:
+            raise InvalidRequestError(
+                "the parameter `file` is empty; expected the path of a .ply, .pcd, .npz or .npy "
+                "cloud, "
+                "for instance --ros-args -p file:=cloud.ply"
+            )
+        self._message = cloud_message(
+            np.asarray(read_cloud(path).points),
+            frame=self._frame,
+            stamp=self.get_clock().now().to_msg(),
+        )
+        # Reliable, so that readers of either kind match; depth 1, because only the newest cloud
+        # matters.
+        self._publisher = self.create_publisher(PointCloud2, "points", 1)
+        self.create_timer(1.0 / rate, self._publish)
+        self.get_logger().info(
+            f"{path}: {self._message.width} points at {rate:g} Hz in frame {self._frame!r}"
+        )
+
+    def _publish(self) -> None:
+        if self._publisher.get_subscription_count():
+            self._message.header.stamp = self.get_clock().now().to_msg()
+            self._publisher.publish(self._message)
+
+
+def main() -> None:
+    """Entry point of the executable `cloud_replay`."""
+    run_node(CloudReplay)

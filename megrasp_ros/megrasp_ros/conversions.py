@@ -1,0 +1,159 @@
+"""Poses, boxes and clouds between ROS messages and numpy. All matrices are (4, 4) homogeneous, metres.
+
+PointCloud2 is decoded here with a structured dtype made from the message's own fields, so that it works for every
+field order, padding, byte order and organised or unorganised layout, and needs no further ROS package.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
+from megrasp_core.errors import CloudError, InvalidRequestError
+from megrasp_core.lie.pose import matrix_from_pose7, pose7_from_matrix
+from megrasp_core.pointcloud import OrientedBox
+from megrasp_msgs.msg import OrientedBox as OrientedBoxMessage
+from numpy.typing import ArrayLike, NDArray
+from sensor_msgs.msg import PointCloud2, PointField
+
+FloatArray = NDArray[np.float64]
+
+_TYPES = {
+    PointField.INT8: "i1",
+    PointField.UINT8: "u1",
+    PointField.INT16: "i2",
+    PointField.UINT16: "u2",
+    PointField.INT32: "i4",
+    PointField.UINT32: "u4",
+    PointField.FLOAT32: "f4",
+    PointField.FLOAT64: "f8",
+}
+
+
+def points_from_cloud(message: PointCloud2) -> FloatArray:
+    """Return the finite points (N, 3) of a cloud, in its own frame (m), in the order of the message.
+
+    Raises CloudError when the cloud is empty, has no numeric fields x, y and z, its data is shorter than its layout
+    says, or no point is finite.
+    """
+    count = message.width * message.height
+    if count == 0:
+        raise CloudError(
+            f"the cloud is empty (width {message.width}, height {message.height}); expected at least one point. "
+            "Check the camera and its topic."
+        )
+    records = np.ndarray(
+        (message.height, message.width),
+        dtype=_point_dtype(message),
+        buffer=_checked_data(message),
+        strides=(message.row_step if message.height > 1 else 0, message.point_step),
+    )
+    points = np.stack([records[axis].astype(np.float64) for axis in "xyz"], axis=-1).reshape(-1, 3)
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.any():
+        raise CloudError(
+            f"none of the {count} points of the cloud is finite; expected depth readings in metres. "
+            "Check that the camera sees the scene within its range."
+        )
+    return points[finite]
+
+
+def _point_dtype(message: PointCloud2) -> np.dtype:
+    fields = {field.name: field for field in message.fields}
+    missing = [axis for axis in "xyz" if axis not in fields]
+    if missing:
+        raise CloudError(
+            f"the cloud has the fields {sorted(fields) or 'none'} and lacks {', '.join(missing)}; expected x, y "
+            "and z in metres. Remap `points` to a topic with a point cloud."
+        )
+    order = ">" if message.is_bigendian else "<"
+    formats = []
+    for axis in "xyz":
+        field = fields[axis]
+        if field.datatype not in _TYPES:
+            raise CloudError(
+                f"field {axis} has the unknown datatype {field.datatype}; expected one of the constants of "
+                "sensor_msgs/PointField, usually FLOAT32 (7)."
+            )
+        formats.append(order + _TYPES[field.datatype])
+        end = field.offset + np.dtype(formats[-1]).itemsize
+        if end > message.point_step:
+            raise CloudError(
+                f"field {axis} ends at byte {end} of a point of {message.point_step} bytes; expected point_step "
+                "to cover every field. The publisher fills the message wrongly."
+            )
+    return np.dtype(
+        {
+            "names": list("xyz"),
+            "formats": formats,
+            "offsets": [fields[axis].offset for axis in "xyz"],
+            "itemsize": message.point_step,
+        }
+    )
+
+
+def _checked_data(message: PointCloud2) -> memoryview:
+    row = message.width * message.point_step
+    # A single row needs no row_step, and some publishers leave it at 0.
+    if message.height > 1 and message.row_step < row:
+        raise CloudError(
+            f"row_step is {message.row_step} for rows of {message.width} points of {message.point_step} bytes; "
+            f"expected at least {row}. The publisher fills the message wrongly."
+        )
+    needed = (message.height - 1) * message.row_step + row
+    if len(message.data) < needed:
+        raise CloudError(
+            f"the cloud's data holds {len(message.data)} bytes; expected {needed} for {message.width} x "
+            f"{message.height} points of {message.point_step} bytes. The message was cut or filled wrongly."
+        )
+    return memoryview(message.data)
+
+
+def pose_from_matrix(matrix: ArrayLike) -> Pose:
+    """Return the Pose of a rigid (4, 4) matrix."""
+    x, y, z, qx, qy, qz, qw = (float(v) for v in pose7_from_matrix(np.asarray(matrix, dtype=np.float64)))
+    return Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+
+
+def numbers_from_pose(pose: Pose) -> FloatArray:
+    """Return (7,): x, y, z, qx, qy, qz, qw, as they are in the message."""
+    p, q = pose.position, pose.orientation
+    return np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
+
+
+def matrix_from_numbers(numbers: ArrayLike, what: str) -> FloatArray:
+    """Return the rigid (4, 4) matrix of 7 numbers x, y, z, qx, qy, qz, qw; the quaternion is normalised.
+
+    Raises InvalidRequestError, which names `what`, when a number is not finite or the quaternion is far from
+    unit length (10 %).
+    """
+    pose = np.asarray(numbers, dtype=np.float64)
+    length = float(np.linalg.norm(pose[3:])) if pose.shape == (7,) else float("nan")
+    if pose.shape != (7,) or not np.isfinite(pose).all() or abs(length - 1) > 0.1:
+        raise InvalidRequestError(
+            f"{what} is {pose.tolist()}; expected finite x, y, z (m) and a unit quaternion qx, qy, qz, qw. "
+            "The identity is 0, 0, 0, 0, 0, 0, 1."
+        )
+    pose[3:] /= length
+    return matrix_from_pose7(pose)
+
+
+def matrix_from_pose(pose: Pose, what: str) -> FloatArray:
+    """Return the rigid (4, 4) matrix of a Pose; see `matrix_from_numbers` for the errors."""
+    return matrix_from_numbers(numbers_from_pose(pose), what)
+
+
+def box_from_message(message: OrientedBoxMessage, what: str = "region.pose") -> OrientedBox | None:
+    """Return the box of a message, None when its size is all 0 (unset).
+
+    Raises InvalidRequestError when the size or the pose is not usable.
+    """
+    size = np.array([message.size.x, message.size.y, message.size.z])
+    if not size.any():
+        return None
+    return OrientedBox(matrix_from_pose(message.pose, what), size)
+
+
+def message_from_box(box: OrientedBox) -> OrientedBoxMessage:
+    """Return the message of a box."""
+    x, y, z = (float(v) for v in box.size)
+    return OrientedBoxMessage(pose=pose_from_matrix(box.world_from_box), size=Vector3(x=x, y=y, z=z))

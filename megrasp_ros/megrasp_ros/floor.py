@@ -1,0 +1,40 @@
+"""Is there anything to grasp? Looks for points above the support surface, inside the region."""
+
+from __future__ import annotations
+
+import numpy as np
+from megrasp_core.pointcloud import OrientedBox, support_plane, voxel_means
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+VOXEL = 0.005
+#: Points this high above the surface (m) are objects: above the noise of depth cameras at arm's length.
+MIN_HEIGHT = 0.010
+#: So many voxels (25 mm2 each, seen from above) make an object; fewer are stray points.
+MIN_VOXELS = 8
+#: Inner strip along the walls of the region (m) where wall and object cannot be told apart.
+WALL_STRIP = 0.012
+
+
+def only_support_left(points: FloatArray, region: OrientedBox | None, gravity: FloatArray | None) -> bool:
+    """Return True when the region shows its support surface and nothing on it.
+
+    points (N, 3) finite, region and gravity (3,) in one frame. False when no support surface is found, since
+    then objects may cover it.
+    """
+    if region is not None:
+        # Inwards at the sides, but down to below the floor and up to the rim.
+        axis = region.face_towards(-gravity)[0] if gravity is not None else 2
+        size = region.size - 2 * WALL_STRIP
+        size[axis] = region.size[axis] + 2 * WALL_STRIP
+        if (size <= 0).any():
+            return False
+        points = points[OrientedBox(region.world_from_box, size).contains(points)]
+    if len(points) < 30:
+        return False
+    voxels = voxel_means(points, VOXEL)
+    plane = support_plane(voxels, gravity)
+    if plane is None:
+        return False
+    return int(np.count_nonzero(plane.height(voxels) > MIN_HEIGHT)) < MIN_VOXELS

@@ -1,0 +1,24 @@
+"""Package of the ROS 2 nodes. The computation comes from the pip package megrasp_core."""
+
+from setuptools import find_packages, setup
+
+NAME = "megrasp_ros"
+NODES = ("grasp_server", "sim_cell", "bin_clearing", "tool_changer", "cloud_replay")
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=find_packages(),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=True,
+    maintainer="Megrasp developers",
+    maintainer_email="megrasp@users.noreply.github.com",
+    description="ROS 2 nodes of Megrasp.",
+    license="Apache-2.0",
+    entry_points={"console_scripts": [f"{node} = {NAME}.{node}:main" for node in NODES]},
+)

@@ -1,0 +1,180 @@
+"""Noise schedule and forward process: ranges, inverses, scores, exact denoiser."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from megrasp_core.diffusion import (
+    NoiseSchedule,
+    PointMixture,
+    apply_residual,
+    perturb,
+    score_target,
+    target,
+)
+from megrasp_core.errors import InvalidRequestError
+from megrasp_core.lie import igso3, so3
+
+F64 = torch.float64
+
+
+def _poses(count: int, seed: int) -> tuple[torch.Tensor, torch.Tensor, torch.Generator]:
+    generator = torch.Generator().manual_seed(seed)
+    rotation = so3.random_rotation(count, generator=generator, dtype=F64)
+    return rotation, 0.3 * torch.randn(count, 3, generator=generator, dtype=F64), generator
+
+
+def test_levels_of_the_design() -> None:
+    levels = NoiseSchedule().levels(10)
+    assert len(levels) == 11 and levels[0] == 1 and levels[-1] == 0
+    assert levels[9] == pytest.approx(0.03)
+    ratios = [b / a for a, b in zip(levels[:9], levels[1:10])]
+    assert ratios == pytest.approx([0.03 ** (1 / 9)] * 9)
+    restart = NoiseSchedule().levels(5, 0.3)
+    assert restart == pytest.approx([0.3 * 0.1 ** (k / 4) for k in range(5)] + [0])
+    assert NoiseSchedule(process="flow").levels(4) == pytest.approx([1, 0.75, 0.5, 0.25, 0])
+    assert NoiseSchedule().levels(1) == [1.0, 0.0]
+
+
+def test_random_levels_follow_the_process() -> None:
+    generator = torch.Generator().manual_seed(0)
+    s = NoiseSchedule().random_levels(20000, generator=generator)
+    assert s.min() >= 0.03 - 1e-6 and s.max() <= 1
+    assert s.log().mean() == pytest.approx(math.log(0.03) / 2, abs=0.03)
+    flow = NoiseSchedule(process="flow").random_levels(20000, generator=generator)
+    assert flow.mean() == pytest.approx(0.515, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "values", [{"sigma_t": 0.0}, {"sigma_r": -1.0}, {"s_min": 1.0}, {"process": "walk"}]
+)
+def test_bad_schedule_is_named(values: dict) -> None:
+    with pytest.raises(InvalidRequestError, match="expected"):
+        NoiseSchedule(**values)
+    with pytest.raises(InvalidRequestError, match="expected"):
+        NoiseSchedule().levels(0)
+    with pytest.raises(InvalidRequestError, match="expected"):
+        NoiseSchedule().levels(5, 0.02)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.integers(0, 10**6), st.sampled_from(["diffusion", "flow"]), st.sampled_from([0.03, 0.3, 1])
+)
+def test_target_leads_back_exactly(seed: int, process: str, level: float) -> None:
+    schedule = NoiseSchedule(process=process)  # pyright: ignore[reportArgumentType]
+    rotation, translation, generator = _poses(20, seed)
+    s = torch.full((20,), float(level), dtype=F64)
+    noisy_r, noisy_t = perturb(rotation, translation, s, schedule, generator)
+    y = target(rotation, translation, noisy_r, noisy_t, s, schedule)
+    back_r, back_t = apply_residual(y, noisy_r, noisy_t, s, schedule)
+    torch.testing.assert_close(back_r, rotation, rtol=0, atol=1e-13)
+    torch.testing.assert_close(back_t, translation, rtol=0, atol=1e-13)
+
+
+def test_target_has_unit_size_at_every_level() -> None:
+    rotation, translation, generator = _poses(20000, 1)
+    schedule = NoiseSchedule()
+    for level in (0.03, 0.1, 0.25):
+        s = torch.full((20000,), level, dtype=F64)
+        noisy = perturb(rotation, translation, s, schedule, generator)
+        y = target(rotation, translation, *noisy, s, schedule)
+        assert y[:, :3].square().mean() == pytest.approx(1, abs=0.03)
+        assert y[:, 3:].square().mean() == pytest.approx(1, abs=0.03)
+        assert y.mean(0).abs().max() < 0.03
+
+
+def test_top_level_is_a_uniform_rotation() -> None:
+    """Sigma 2.0: E[R_0^T R_1] = exp(-4) I, so Haar is a correct start."""
+    rotation, translation, generator = _poses(40000, 2)
+    noisy, _ = perturb(
+        rotation, translation, torch.ones(40000, dtype=F64), NoiseSchedule(), generator
+    )
+    mean = (rotation.mT @ noisy).mean(0)
+    assert (mean - math.exp(-4) * torch.eye(3, dtype=F64)).abs().max() < 0.012
+
+
+def test_noise_and_target_are_equivariant() -> None:
+    rotation, translation, _ = _poses(50, 3)
+    q = so3.random_rotation(generator=torch.Generator().manual_seed(9), dtype=F64)
+    u = torch.tensor([0.4, -0.1, 0.7], dtype=F64)
+    s = torch.linspace(0.03, 1, 50, dtype=F64)
+    schedule = NoiseSchedule()
+    plain = perturb(rotation, translation, s, schedule, torch.Generator().manual_seed(4))
+    moved_start = (q @ rotation, translation @ q.T + u)
+    moved = perturb(*moved_start, s, schedule, torch.Generator().manual_seed(4))
+    torch.testing.assert_close(moved[0], q @ plain[0], rtol=0, atol=1e-14)
+    torch.testing.assert_close(moved[1], plain[1] @ q.T + u, rtol=0, atol=1e-14)
+    torch.testing.assert_close(
+        target(*moved_start, *moved, s, schedule),
+        target(rotation, translation, *plain, s, schedule),
+        rtol=0,
+        atol=1e-11,
+    )
+
+
+@pytest.mark.parametrize("level", [0.03, 0.2, 0.25, 0.6, 1.0])
+def test_score_target_is_the_gradient_of_the_log_density(level: float) -> None:
+    rotation, translation, generator = _poses(40, 5)
+    schedule = NoiseSchedule()
+    s = torch.full((40,), level, dtype=F64)
+    noisy, _ = perturb(rotation, translation, s, schedule, generator)
+    score = score_target(rotation, noisy, s, schedule)
+    sigma = level * schedule.sigma_r
+    step = 1e-5 * sigma
+    for axis in range(3):
+        turn = torch.zeros(3, dtype=F64)
+        turn[axis] = step
+        ahead, behind = (
+            igso3.log_density(so3.angle(rotation.mT @ noisy @ so3.exp(d)), sigma)
+            for d in (turn, -turn)
+        )
+        numeric = sigma * (ahead - behind) / (2 * step)
+        torch.testing.assert_close(score[:, axis], numeric, rtol=1e-4, atol=1e-5)
+    identity = score_target(rotation, rotation, s, schedule)
+    assert torch.isfinite(identity).all() and identity.abs().max() < 1e-5
+
+
+def test_training_quantities_are_differentiable_where_nothing_moved() -> None:
+    rotation, translation, _ = _poses(3, 6)
+    translation.requires_grad_()
+    w = torch.zeros(3, 3, dtype=F64, requires_grad=True)
+    s = torch.full((3,), 0.5, dtype=F64)
+    y = target(
+        rotation, translation, rotation @ so3.exp(w), translation.detach(), s, NoiseSchedule()
+    )
+    y.sum().backward()
+    assert w.grad is not None and torch.isfinite(w.grad).all()
+    torch.testing.assert_close(w.grad, torch.full_like(w, -1.0))
+
+
+def test_exact_denoiser_minimises_the_training_loss() -> None:
+    """Monte Carlo: the closed-form mean beats any perturbed version of itself."""
+    generator = torch.Generator().manual_seed(7)
+    schedule = NoiseSchedule()
+    modes = so3.random_rotation(2, generator=generator, dtype=F64)
+    places = torch.tensor([[0, 0, 0], [0.1, 0, 0]], dtype=F64)
+    mixture = PointMixture(modes, places, torch.tensor([0.8, 0.2], dtype=F64), schedule)
+    count = 20000
+    k = torch.multinomial(mixture.weight, count, True, generator=generator)
+    s = torch.full((count,), 0.5, dtype=F64)
+    noisy = perturb(modes[k], places[k], s, schedule, generator)
+    y = target(modes[k], places[k], *noisy, s, schedule)
+    mean = mixture.residual(*noisy, s)
+    best = (mean - y).square().mean()
+    assert torch.equal(mixture.posterior(*noisy, s).argmax(-1) == k, (k == k)) is False
+    for factor in (0.9, 1.1):
+        assert (factor * mean - y).square().mean() > best
+    swapped = PointMixture(modes, places, torch.tensor([0.5, 0.5], dtype=F64), schedule)
+    assert (swapped.residual(*noisy, s) - y).square().mean() > best
+    # Calibration: the posterior's mean is the share of each mode.
+    share = mixture.posterior(*noisy, s).mean(0)
+    assert share[0] == pytest.approx(0.8, abs=0.01)
+    # The conditional mean of the score target is the mixture's score.
+    regress = score_target(modes[k], noisy[0], s, schedule)
+    exact = mixture.scaled_score(*noisy, s)[:, 3:]
+    assert (regress - exact).mean(0).abs().max() < 0.02
+    assert (exact * (regress - exact)).sum(-1).mean().abs() < 0.02

@@ -1,0 +1,43 @@
+"""Intervals against known values and their coverage."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from megrasp_core.evaluation.statistics import cluster_bootstrap, wilson
+
+
+def test_wilson_against_a_textbook_value():
+    rate = wilson(8, 10)
+    assert rate.rate == 0.8
+    assert rate.ci95 == pytest.approx((0.4902, 0.9433), abs=1e-3)
+
+
+def test_no_trials_is_no_rate():
+    assert wilson(0, 0).to_json() == {"successes": 0, "trials": 0, "rate": None, "ci95": None}
+    assert cluster_bootstrap([], []).rate is None
+
+
+def test_extremes_stay_in_range():
+    assert wilson(0, 20).ci95[0] == 0.0
+    assert wilson(20, 20).ci95[1] == 1.0
+
+
+def test_bootstrap_is_wider_where_scenes_differ():
+    same = cluster_bootstrap([50] * 20, [100] * 20)
+    apart = cluster_bootstrap([100, 0] * 10, [100] * 20)
+    assert same.rate == apart.rate == 0.5
+    width = [r.ci95[1] - r.ci95[0] for r in (same, apart)]
+    assert width[0] < 0.01 < 0.3 < width[1]
+
+
+def test_bootstrap_covers_the_truth():
+    """Scenes with their own luck: about 95 % of the intervals hold the mean of all scenes."""
+    rng = np.random.default_rng(0)
+    held = 0
+    for draw in range(200):
+        luck = rng.beta(4, 2, 40)
+        rate = cluster_bootstrap(rng.binomial(30, luck), [30] * 40, seed=draw, draws=600)
+        held += rate.ci95[0] <= 4 / 6 <= rate.ci95[1]
+    assert 0.88 <= held / 200 <= 0.99

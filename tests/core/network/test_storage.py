@@ -1,0 +1,74 @@
+"""Models on disk."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+import torch
+from scenes import scene, tokens
+
+from megrasp_core.errors import ModelError
+from megrasp_core.network import PRESETS, GraspModel, load_model, save_model
+
+
+@pytest.fixture
+def folder(tmp_path):
+    torch.manual_seed(0)
+    return save_model(GraspModel(PRESETS["tiny"], model_id="tiny-test"), tmp_path / "tiny-test")
+
+
+@torch.no_grad()
+def test_round_trip_predicts_the_same(folder):
+    torch.manual_seed(0)
+    made, loaded = GraspModel(PRESETS["tiny"]).eval(), load_model(folder)
+    assert loaded.model_id == "tiny-test"
+    nodes, gripper = scene(), tokens(8)
+    args = (torch.eye(3)[None], torch.zeros(1, 3), torch.ones(1))
+    outs = [
+        model.predict(model.encode_scene(nodes), model.encode_gripper(gripper), *args).residual
+        for model in (made, loaded)
+    ]
+    assert torch.equal(*outs)
+
+
+def test_found_through_the_environment(folder, monkeypatch):
+    monkeypatch.setenv("MEGRASP_MODELS", str(folder.parent))
+    assert load_model("tiny-test").model_id == "tiny-test"
+
+
+def test_unknown_model_lists_those_that_exist(folder, monkeypatch):
+    monkeypatch.setenv("MEGRASP_MODELS", str(folder.parent))
+    with pytest.raises(ModelError, match=r"'nothing' not found.*tiny-test") as error:
+        load_model("nothing")
+    assert error.value.code == 300
+
+
+@pytest.mark.parametrize("damage", ["truncate", "flip", "foreign"])
+def test_damaged_weights_are_named(folder, damage):
+    path = folder / "model.safetensors"
+    content = path.read_bytes()
+    if damage == "truncate":
+        path.write_bytes(content[: len(content) // 2])
+    elif damage == "flip":
+        path.write_bytes(content[:-4] + b"abcd")
+    else:
+        save_model(GraspModel(PRESETS["small"]), folder.parent / "other")
+        path.write_bytes((folder.parent / "other" / "model.safetensors").read_bytes())
+    with pytest.raises(ModelError, match=r"model\.safetensors"):
+        load_model(folder)
+
+
+def test_config_with_an_unknown_field(folder):
+    content = json.loads((folder / "config.json").read_text())
+    content["network"]["colour"] = 1
+    (folder / "config.json").write_text(json.dumps(content))
+    with pytest.raises(ModelError, match=r"unknown fields \['colour'\]"):
+        load_model(folder)
+
+
+def test_device_that_is_absent(folder):
+    if torch.cuda.is_available():
+        pytest.skip("this machine has the device that the test needs to be absent")
+    with pytest.raises(ModelError, match="device 'cuda'"):
+        load_model(folder, device="cuda")

@@ -1,0 +1,153 @@
+"""A grasp_server process and a client of it, for the tests; real processes over Fast DDS."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from cell_processes import WAIT, Processes, processes, spinning_node, until
+from megrasp_msgs.action import GenerateGrasps
+from megrasp_msgs.srv import ListGrippers, ReloadGrippers, SetGripper, SynthesizeGrasps
+from megrasp_ros.cell_messages import cloud_message
+from rcl_interfaces.srv import SetParameters
+from rclpy.action import ActionClient
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import PointCloud2
+
+DOUBLE = Path(__file__).parent / "server_double.py"
+GRIPPERS = ("robotiq_2f85", "robotiq_3f")
+
+
+def domain(offset: int) -> int:
+    """Return a ROS domain of this test session, apart from those of other sessions on the machine."""
+    return 20 + (os.getpid() * 7 + offset) % 180
+
+
+def result(future, seconds: float = WAIT):
+    """Return what a future brings; fails after `seconds`."""
+    done = threading.Event()
+    future.add_done_callback(lambda _: done.set())
+    assert done.wait(seconds), "no answer in time"
+    return future.result()
+
+
+class Client:
+    """Blocking calls of a running grasp_server."""
+
+    def __init__(self, node: Node) -> None:
+        self.node = node
+        self._services = {
+            kind: node.create_client(kind, name)
+            for kind, name in (
+                (SynthesizeGrasps, "synthesize_grasps"),
+                (SetGripper, "set_gripper"),
+                (ListGrippers, "list_grippers"),
+                (ReloadGrippers, "reload_grippers"),
+                (SetParameters, "grasp_server/set_parameters"),
+            )
+        }
+        self.action = ActionClient(node, GenerateGrasps, "generate_grasps")
+        for client in self._services.values():
+            assert client.wait_for_service(timeout_sec=WAIT), f"{client.srv_name} did not appear"
+        assert self.action.wait_for_server(timeout_sec=WAIT)
+
+    def start(self, request):
+        """Send a service request and return its future."""
+        kind = next(kind for kind in self._services if isinstance(request, kind.Request))
+        return self._services[kind].call_async(request)
+
+    def call(self, request, seconds: float = WAIT):
+        """Send a service request and return the answer."""
+        return result(self.start(request), seconds)
+
+    def synthesize(self, **fields):
+        """Call synthesize_grasps."""
+        return self.call(SynthesizeGrasps.Request(**fields))
+
+    def set_gripper(self, name: str, *, dry_run: bool = False):
+        """Call set_gripper."""
+        return self.call(SetGripper.Request(gripper_name=name, dry_run=dry_run))
+
+    def parameters(self, **values) -> list[str]:
+        """Set parameters of the server (`__` stands for a dot); return the reasons of refusals."""
+        messages = [
+            Parameter(name.replace("__", "."), value=value).to_parameter_msg()
+            for name, value in values.items()
+        ]
+        answer = self.call(SetParameters.Request(parameters=messages))
+        return [each.reason for each in answer.results if not each.successful]
+
+    def goal(self, *, feedback=None, **fields):
+        """Send an action goal; return its handle once it is accepted."""
+        future = self.action.send_goal_async(GenerateGrasps.Goal(**fields), feedback_callback=feedback)
+        handle = result(future)
+        assert handle.accepted
+        return handle
+
+
+@contextmanager
+def running_server(
+    offset: int, folder: Path, *, double: bool = True, **parameters: object
+) -> Iterator[tuple[Client, Processes]]:
+    """Yield a client of a fresh grasp_server process; `double` puts the test double into it."""
+    with processes(domain(offset), folder) as running, spinning_node(domain(offset)) as node:
+        if double:
+            running.start_command("grasp_server", [sys.executable, str(DOUBLE)], **parameters)
+        else:
+            running.start("grasp_server", **parameters)
+        yield Client(node), running
+
+
+def table_points(count: int = 4000, *, objects: bool = True, seed: int = 0) -> np.ndarray:
+    """Return points (count, 3) of a table at z = 0 with a block of 4 x 4 x 6 cm at x = 0.05, seen from above."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform((-0.2, -0.15, 0.0), (0.2, 0.15, 0.0), (count, 3))
+    block = (np.abs(points[:, 0] - 0.05) < 0.02) & (np.abs(points[:, 1]) < 0.02)
+    if objects:
+        points[block, 2] = 0.06
+        top = rng.uniform((0.03, -0.02, 0.06), (0.07, 0.02, 0.06), (count // 8, 3))
+        points = np.concatenate([points, top])
+    points[:, 2] += rng.normal(0.0, 0.0005, len(points))
+    return points
+
+
+def stamped_cloud(node: Node, points: np.ndarray, frame: str = "world", age: float = 0.0) -> PointCloud2:
+    """Return a cloud with the stamp `age` seconds ago."""
+    now = node.get_clock().now().nanoseconds - round(age * 1e9)
+    message = cloud_message(points, frame=frame, stamp=node.get_clock().now().to_msg())
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(now, 10**9)
+    return message
+
+
+@contextmanager
+def camera(client: Client, points: np.ndarray, *, frame: str = "world", age: float = 0.0, rate: float = 10.0):
+    """Publish a cloud on `points` while the context lasts, each with a stamp `age` seconds ago."""
+    from megrasp_ros.qos import SENSOR
+
+    publisher = client.node.create_publisher(PointCloud2, "points", SENSOR)
+    stop = threading.Event()
+
+    def publish() -> None:
+        while not stop.wait(1.0 / rate):
+            publisher.publish(stamped_cloud(client.node, points, frame, age))
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    try:
+        yield publisher
+    finally:
+        stop.set()
+        thread.join()
+        client.node.destroy_publisher(publisher)
+
+
+def seconds_since(start: float) -> float:
+    """Return the time since a value of time.monotonic()."""
+    return time.monotonic() - start
