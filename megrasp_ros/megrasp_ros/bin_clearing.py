@@ -20,8 +20,6 @@ from pathlib import Path
 
 import rclpy
 from builtin_interfaces.msg import Time as TimeMessage
-from megrasp_core.errors import MegraspError
-from megrasp_core.evaluation.clearing import ClearingPlan, PickRecord
 from megrasp_msgs.msg import ErrorCode
 from megrasp_msgs.srv import SynthesizeGrasps
 from rclpy.exceptions import ParameterException
@@ -29,6 +27,8 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
 
+from megrasp_core.errors import MegraspError
+from megrasp_core.evaluation.clearing import ClearingPlan, PickRecord
 from megrasp_ros.clearing_client import ClearingClient, SystemFailure
 from megrasp_ros.clearing_parameters import ClearingParameters, declare_clearing_parameters
 from megrasp_ros.clearing_pictures import ClearingPictures
@@ -37,7 +37,7 @@ from megrasp_ros.conversions import box_from_message, matrix_from_pose, pose_fro
 TRANSIENT = (ErrorCode.BUSY, ErrorCode.NO_CLOUD, ErrorCode.STALE_CLOUD, ErrorCode.TOOL_MISMATCH)
 """Errors that pass by themselves: a job ends, a cloud or the identity of the new tool arrives."""
 
-TRANSIENT_WAIT = 20.0
+TRANSIENT_WAIT = 60.0
 RETRY_PERIOD = 0.5
 STALE_IN_A_ROW = 3
 
@@ -62,10 +62,10 @@ class BinClearing:
     def run(self) -> dict[str, object]:
         """Empties the bin and returns the summary, which is also written. Raises SystemFailure."""
         self._out.mkdir(parents=True, exist_ok=True)
-        self._client.wait_until_ready(self._parameters.ready_timeout)
         started = time.monotonic()
         failure = ""
         try:
+            self._client.wait_until_ready(self._parameters.ready_timeout)
             while (gripper := self._plan.gripper) is not None:
                 if gripper != self._mounted:
                     self._mount(gripper)

@@ -1,7 +1,7 @@
 """Messages of a depth camera, from numpy.
 
-Large arrays go out as `array.array`, which rclpy takes over as it is (bytes cost three times as much, a numpy
-array several hundred times).
+Large arrays go out as `array.array`, which rclpy takes over as it is (bytes cost three times as
+much, a numpy array several hundred times).
 """
 
 from __future__ import annotations
@@ -10,9 +10,10 @@ from array import array
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from megrasp_core.simulation.camera import Camera
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 from std_msgs.msg import Header
+
+from megrasp_core.simulation.camera import Camera
 
 BYTES_PER_POINT = 12
 
@@ -20,8 +21,8 @@ BYTES_PER_POINT = 12
 def cloud_message(points: np.ndarray, *, frame: str, stamp: Time) -> PointCloud2:
     """PointCloud2 with fields x, y, z (float32, m).
 
-    points: (n, 3) gives an unorganised cloud, (height, width, 3) an organised one in which a NaN row is a
-    pixel without a reading.
+    points: (n, 3) gives an unorganised cloud, (height, width, 3) an organised one in which a NaN
+    row is a pixel without a reading.
     """
     points = np.asarray(points)
     if points.ndim not in (2, 3) or points.shape[-1] != 3:
@@ -47,7 +48,7 @@ def cloud_message(points: np.ndarray, *, frame: str, stamp: Time) -> PointCloud2
 
 
 def depth_message(depth: np.ndarray, *, frame: str, stamp: Time) -> Image:
-    """Image of encoding 32FC1 from metres along the optical axis (h, w); pixels without a reading (0) become NaN."""
+    """Image (32FC1) of depths (h, w) in m; pixels without a reading become NaN."""
     data = np.array(depth, dtype="<f4")
     data[~(data > 0)] = np.nan
     return Image(

@@ -1,12 +1,13 @@
-"""Parameters of `sim_cell`, each with a description and a range; all are read once, at the start."""
+"""Parameters of `sim_cell`, with descriptions and ranges; all are read once, at the start."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from megrasp_core.errors import InvalidRequestError
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
+
+from megrasp_core.errors import InvalidRequestError
 
 FRAMES = ("cell", "optical")
 

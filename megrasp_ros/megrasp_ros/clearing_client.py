@@ -1,7 +1,7 @@
 """The services, action and topic that empty a bin, as blocking calls with timeouts.
 
-Everything goes through the public interface, so the same client works on a real cell that offers `points`,
-`change_tool` and `execute_grasp`. Another thread must spin the node.
+Everything goes through the public interface, so the same client works on a real cell that offers
+`points`, `change_tool` and `execute_grasp`. Another thread must spin the node.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from megrasp_msgs.msg import Grasp, OrientedBox
 from megrasp_msgs.srv import ChangeTool, SetGripper, SynthesizeGrasps
 from rclpy.action import ActionClient
 from rclpy.client import Client
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.task import Future
 from sensor_msgs.msg import PointCloud2
@@ -34,7 +35,7 @@ class SystemFailure(Exception):
 
 
 class ClearingClient:
-    """Calls of `bin_clearing`. Every method raises SystemFailure naming the part that does not answer."""
+    """Calls of `bin_clearing`. Each raises SystemFailure naming the part that does not answer."""
 
     def __init__(self, node: Node, *, timeout: float) -> None:
         """timeout: longest wait for one answer (s), for a synthesis on a slow machine included."""
@@ -64,12 +65,15 @@ class ClearingClient:
         parts.append(("action execute_grasp (sim_cell)", self._execute.wait_for_server))
         for what, wait in parts:
             left = max(0.01, end - self._node.get_clock().now().nanoseconds * 1e-9)
-            if not wait(timeout_sec=left):
-                raise SystemFailure(
-                    f"{what} is not there after {timeout:g} s; start the node that offers it in "
-                    "the same "
-                    "namespace and ROS_DOMAIN_ID"
-                )
+            if wait(timeout_sec=left):
+                continue
+            # A wait also ends, without success, when the process is told to end.
+            if not self._node.context.ok():
+                raise ExternalShutdownException
+            raise SystemFailure(
+                f"{what} is not there after {timeout:g} s; start the node that offers it in the "
+                "same namespace and ROS_DOMAIN_ID"
+            )
 
     def synthesize(
         self,
@@ -87,6 +91,8 @@ class ClearingClient:
             not_before=not_before,
             exclude=list(exclude),
             seed=seed,
+            # The server's own timeout would end a slow machine's synthesis earlier.
+            timeout=0.9 * self._timeout,
         )
         return self._call(self._synthesize, request)
 

@@ -1,13 +1,14 @@
-"""Parameters of `bin_clearing`, each with a description and a range; all are read once, at the start."""
+"""Parameters of `bin_clearing`, with descriptions and ranges; all are read once, at the start."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from megrasp_core.errors import InvalidRequestError
 from megrasp_msgs.msg import OrientedBox
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
+
+from megrasp_core.errors import InvalidRequestError
 
 
 @dataclass(frozen=True)

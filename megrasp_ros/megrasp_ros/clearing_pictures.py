@@ -1,4 +1,4 @@
-"""Pictures of a clearing run: cloud and ranked grasps before every pick, one contact sheet at the end."""
+"""Pictures of a clearing run: cloud and ranked grasps before every pick, a contact sheet."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from megrasp_msgs.msg import GraspArray
+from sensor_msgs.msg import PointCloud2
+
 from megrasp_core.errors import CloudError
 from megrasp_core.evaluation.clearing import PickRecord
 from megrasp_core.evaluation.contact_sheet import sheet_of_picks
 from megrasp_core.evaluation.pictures import save_grasp_picture
 from megrasp_core.grippers import Gripper, load_gripper
 from megrasp_core.pointcloud import Cloud, OrientedBox
-from megrasp_msgs.msg import GraspArray
-from sensor_msgs.msg import PointCloud2
-
 from megrasp_ros.conversions import matrix_from_pose, points_from_cloud
 
 
@@ -34,6 +34,9 @@ class ClearingPictures:
         self._folder = folder
         self._region = region
         self._grippers: dict[str, Gripper] = {}
+        # Pictures of an earlier, longer run would pass for this one's.
+        for old in (*folder.glob("pick_*.png"), folder / "contact_sheet.png"):
+            old.unlink(missing_ok=True)
 
     def pick(
         self, attempt: int, cloud: PointCloud2, grasps: GraspArray, chosen: int | None, name: str

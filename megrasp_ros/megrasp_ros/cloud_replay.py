@@ -1,14 +1,14 @@
-"""Node that publishes one stored cloud again and again: grasp synthesis without a camera or a simulation."""
+"""Node that publishes one stored cloud again and again, in place of a camera."""
 
 from __future__ import annotations
 
 import numpy as np
-from megrasp_core.errors import InvalidRequestError
-from megrasp_core.pointcloud import read_cloud
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
+from megrasp_core.errors import InvalidRequestError
+from megrasp_core.pointcloud import read_cloud
 from megrasp_ros.cell_messages import cloud_message
 from megrasp_ros.node_main import run_node
 

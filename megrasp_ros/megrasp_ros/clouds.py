@@ -49,7 +49,11 @@ class CloudSource:
     def rate(self) -> float:
         """Clouds a second over the last arrivals; 0 when unknown."""
         times = list(self._arrivals)
-        return (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 and times[-1] > times[0] else 0.0
+        return (
+            (len(times) - 1) / (times[-1] - times[0])
+            if len(times) > 1 and times[-1] > times[0]
+            else 0.0
+        )
 
     @property
     def silence(self) -> float:
@@ -67,18 +71,23 @@ class CloudSource:
             self._continuous = continuous
             self._update()
 
-    def wait(self, job: Job, *, timeout: float, max_age: float, not_before: TimeMessage) -> PointCloud2:
+    def wait(
+        self, job: Job, *, timeout: float, max_age: float, not_before: TimeMessage
+    ) -> PointCloud2:
         """Return the newest cloud that is young enough; wait for one up to `timeout` seconds.
 
-        max_age: oldest stamp that is accepted (s), 0 for any. not_before: stamps must be later; 0 for any.
+        max_age: oldest stamp that is accepted (s), 0 for any. not_before: stamps must be later; 0
+        for any.
 
-        Raises NoCloudError when none arrives, StaleCloudError when only older ones do, and what `job.check` raises.
+        Raises NoCloudError when none arrives, StaleCloudError when only older ones do, and what
+        `job.check` raises.
         """
         deadline = time.monotonic() + timeout
         newest: PointCloud2 | None = None
         with self._changed:
             if not self._continuous and not self._users:
-                # What an earlier request has left may be old; this one wants the scene as it is now.
+                # What an earlier request has left may be old; this one wants the scene as it is
+                # now.
                 self._data = None
             seen = 0 if self._data is not None else self._count
             self._users += 1
@@ -127,7 +136,10 @@ class CloudSource:
 
     def _too_old(self, cloud: PointCloud2, max_age: float, not_before: TimeMessage) -> str:
         """Return why the cloud is too old, "" when it is not."""
-        stamp, limit = Time.from_msg(cloud.header.stamp).nanoseconds, Time.from_msg(not_before).nanoseconds
+        stamp, limit = (
+            Time.from_msg(cloud.header.stamp).nanoseconds,
+            Time.from_msg(not_before).nanoseconds,
+        )
         if limit and stamp <= limit:
             return f"its stamp is {1e-9 * (limit - stamp):.3f} s before not_before"
         if max_age > 0 and self._age(cloud) > max_age:
@@ -140,7 +152,8 @@ class CloudSource:
         if newest is not None:
             return StaleCloudError(
                 f"the newest cloud on {self.topic} after {timeout:g} s is too old: "
-                f"{self._too_old(newest, max_age, not_before)}. Check that the camera publishes, that its clock (or "
+                f"{self._too_old(newest, max_age, not_before)}. Check that the camera publishes, "
+                "that its clock (or "
                 "use_sim_time) agrees with this node's, or raise cloud_max_age or cloud_timeout."
             )
         publishers = self._node.get_publishers_info_by_topic(self.topic)
@@ -150,8 +163,11 @@ class CloudSource:
             for info in publishers
         )
         return NoCloudError(
-            f"no cloud arrived on {self.topic} within {timeout:g} s; it has {len(publishers)} publisher(s)"
-            f"{': ' + described if described else ''}. Expected sensor_msgs/msg/PointCloud2. Start the camera, remap "
-            "the topic (--ros-args -r points:=/camera/depth/color/points), or put the cloud into the request. "
+            f"no cloud arrived on {self.topic} within {timeout:g} s; it has {len(publishers)} "
+            "publisher(s)"
+            f"{': ' + described if described else ''}. Expected sensor_msgs/msg/PointCloud2. "
+            "Start the camera, remap "
+            "the topic (--ros-args -r points:=/camera/depth/color/points), or put the cloud into "
+            "the request. "
             "For large clouds set FASTRTPS_DEFAULT_PROFILES_FILE to the shipped profile."
         )

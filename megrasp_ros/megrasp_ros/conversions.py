@@ -1,19 +1,22 @@
-"""Poses, boxes and clouds between ROS messages and numpy. All matrices are (4, 4) homogeneous, metres.
+"""Poses, boxes and clouds between ROS messages and numpy. All matrices are (4, 4) homogeneous,
+metres.
 
-PointCloud2 is decoded here with a structured dtype made from the message's own fields, so that it works for every
-field order, padding, byte order and organised or unorganised layout, and needs no further ROS package.
+PointCloud2 is decoded here with a structured dtype made from the message's own fields, so that it
+works for every field order, padding, byte order and organised or unorganised layout, and needs no
+further ROS package.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
-from megrasp_core.errors import CloudError, InvalidRequestError
-from megrasp_core.lie.pose import matrix_from_pose7, pose7_from_matrix
-from megrasp_core.pointcloud import OrientedBox
 from megrasp_msgs.msg import OrientedBox as OrientedBoxMessage
 from numpy.typing import ArrayLike, NDArray
 from sensor_msgs.msg import PointCloud2, PointField
+
+from megrasp_core.errors import CloudError, InvalidRequestError
+from megrasp_core.lie.pose import matrix_from_pose7, pose7_from_matrix
+from megrasp_core.pointcloud import OrientedBox
 
 FloatArray = NDArray[np.float64]
 
@@ -30,15 +33,17 @@ _TYPES = {
 
 
 def points_from_cloud(message: PointCloud2) -> FloatArray:
-    """Return the finite points (N, 3) of a cloud, in its own frame (m), in the order of the message.
+    """Return the finite points (N, 3) of a cloud, in its own frame (m), in the order of the
+    message.
 
-    Raises CloudError when the cloud is empty, has no numeric fields x, y and z, its data is shorter than its layout
-    says, or no point is finite.
+    Raises CloudError when the cloud is empty, has no numeric fields x, y and z, its data is
+    shorter than its layout says, or no point is finite.
     """
     count = message.width * message.height
     if count == 0:
         raise CloudError(
-            f"the cloud is empty (width {message.width}, height {message.height}); expected at least one point. "
+            f"the cloud is empty (width {message.width}, height {message.height}); expected at "
+            "least one point. "
             "Check the camera and its topic."
         )
     records = np.ndarray(
@@ -51,7 +56,8 @@ def points_from_cloud(message: PointCloud2) -> FloatArray:
     finite = np.isfinite(points).all(axis=1)
     if not finite.any():
         raise CloudError(
-            f"none of the {count} points of the cloud is finite; expected depth readings in metres. "
+            f"none of the {count} points of the cloud is finite; expected depth readings in "
+            "metres. "
             "Check that the camera sees the scene within its range."
         )
     return points[finite]
@@ -62,7 +68,8 @@ def _point_dtype(message: PointCloud2) -> np.dtype:
     missing = [axis for axis in "xyz" if axis not in fields]
     if missing:
         raise CloudError(
-            f"the cloud has the fields {sorted(fields) or 'none'} and lacks {', '.join(missing)}; expected x, y "
+            f"the cloud has the fields {sorted(fields) or 'none'} and lacks {', '.join(missing)}; "
+            "expected x, y "
             "and z in metres. Remap `points` to a topic with a point cloud."
         )
     order = ">" if message.is_bigendian else "<"
@@ -71,14 +78,16 @@ def _point_dtype(message: PointCloud2) -> np.dtype:
         field = fields[axis]
         if field.datatype not in _TYPES:
             raise CloudError(
-                f"field {axis} has the unknown datatype {field.datatype}; expected one of the constants of "
+                f"field {axis} has the unknown datatype {field.datatype}; expected one of the "
+                "constants of "
                 "sensor_msgs/PointField, usually FLOAT32 (7)."
             )
         formats.append(order + _TYPES[field.datatype])
         end = field.offset + np.dtype(formats[-1]).itemsize
         if end > message.point_step:
             raise CloudError(
-                f"field {axis} ends at byte {end} of a point of {message.point_step} bytes; expected point_step "
+                f"field {axis} ends at byte {end} of a point of {message.point_step} bytes; "
+                "expected point_step "
                 "to cover every field. The publisher fills the message wrongly."
             )
     return np.dtype(
@@ -96,21 +105,26 @@ def _checked_data(message: PointCloud2) -> memoryview:
     # A single row needs no row_step, and some publishers leave it at 0.
     if message.height > 1 and message.row_step < row:
         raise CloudError(
-            f"row_step is {message.row_step} for rows of {message.width} points of {message.point_step} bytes; "
+            f"row_step is {message.row_step} for rows of {message.width} points of "
+            f"{message.point_step} bytes; "
             f"expected at least {row}. The publisher fills the message wrongly."
         )
     needed = (message.height - 1) * message.row_step + row
     if len(message.data) < needed:
         raise CloudError(
-            f"the cloud's data holds {len(message.data)} bytes; expected {needed} for {message.width} x "
-            f"{message.height} points of {message.point_step} bytes. The message was cut or filled wrongly."
+            f"the cloud's data holds {len(message.data)} bytes; expected {needed} for "
+            f"{message.width} x "
+            f"{message.height} points of {message.point_step} bytes. The message was cut or "
+            "filled wrongly."
         )
     return memoryview(message.data)
 
 
 def pose_from_matrix(matrix: ArrayLike) -> Pose:
     """Return the Pose of a rigid (4, 4) matrix."""
-    x, y, z, qx, qy, qz, qw = (float(v) for v in pose7_from_matrix(np.asarray(matrix, dtype=np.float64)))
+    x, y, z, qx, qy, qz, qw = (
+        float(v) for v in pose7_from_matrix(np.asarray(matrix, dtype=np.float64))
+    )
     return Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
 
 
@@ -121,16 +135,18 @@ def numbers_from_pose(pose: Pose) -> FloatArray:
 
 
 def matrix_from_numbers(numbers: ArrayLike, what: str) -> FloatArray:
-    """Return the rigid (4, 4) matrix of 7 numbers x, y, z, qx, qy, qz, qw; the quaternion is normalised.
+    """Return the rigid (4, 4) matrix of 7 numbers x, y, z, qx, qy, qz, qw; the quaternion is
+    normalised.
 
-    Raises InvalidRequestError, which names `what`, when a number is not finite or the quaternion is far from
-    unit length (10 %).
+    Raises InvalidRequestError, which names `what`, when a number is not finite or the quaternion
+    is far from unit length (10 %).
     """
     pose = np.asarray(numbers, dtype=np.float64)
     length = float(np.linalg.norm(pose[3:])) if pose.shape == (7,) else float("nan")
     if pose.shape != (7,) or not np.isfinite(pose).all() or abs(length - 1) > 0.1:
         raise InvalidRequestError(
-            f"{what} is {pose.tolist()}; expected finite x, y, z (m) and a unit quaternion qx, qy, qz, qw. "
+            f"{what} is {pose.tolist()}; expected finite x, y, z (m) and a unit quaternion qx, "
+            "qy, qz, qw. "
             "The identity is 0, 0, 0, 0, 0, 0, 1."
         )
     pose[3:] /= length
@@ -156,4 +172,6 @@ def box_from_message(message: OrientedBoxMessage, what: str = "region.pose") -> 
 def message_from_box(box: OrientedBox) -> OrientedBoxMessage:
     """Return the message of a box."""
     x, y, z = (float(v) for v in box.size)
-    return OrientedBoxMessage(pose=pose_from_matrix(box.world_from_box), size=Vector3(x=x, y=y, z=z))
+    return OrientedBoxMessage(
+        pose=pose_from_matrix(box.world_from_box), size=Vector3(x=x, y=y, z=z)
+    )

@@ -1,4 +1,6 @@
-"""The node's line in /diagnostics: is the camera there, is the model loaded, what did the last request cost."""
+"""The node's line in /diagnostics: is the camera there, is the model loaded, what did the last
+request cost.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,10 @@ def diagnostics(
     """Return the array with one status. Worst first: an error text, a tool mismatch, then OK."""
     level, message = DiagnosticStatus.OK, state
     if tool_id and gripper and tool_id != gripper:
-        level, message = DiagnosticStatus.WARN, f"tool_id reports {tool_id}, the active gripper is {gripper}"
+        level, message = (
+            DiagnosticStatus.WARN,
+            f"tool_id reports {tool_id}, the active gripper is {gripper}",
+        )
     if error:
         level, message = DiagnosticStatus.ERROR, error
     values = {

@@ -1,4 +1,6 @@
-"""The synthesizer of the node and what is loaded into it. Everything that computes runs in the worker thread."""
+"""The synthesizer of the node and what is loaded into it. Everything that computes runs in the
+worker thread.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +9,13 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+
 from megrasp_core.errors import MegraspError, ModelError
 from megrasp_core.grippers import Gripper, list_grippers, load_gripper
-
 from megrasp_ros.parameters import Settings
 
-#: (model or None, device, threads or None) -> an object like megrasp_core.synthesizer.GraspSynthesizer
+#: (model or None, device, threads or None) -> an object like
+# megrasp_core.synthesizer.GraspSynthesizer
 Factory = Callable[[str | None, str, int | None], Any]
 
 
@@ -33,7 +36,9 @@ def resolve_device(device: str) -> str:
 
 
 class Engine:
-    """Loads the model and the grippers when the settings ask for others; remembers the active gripper."""
+    """Loads the model and the grippers when the settings ask for others; remembers the active
+    gripper.
+    """
 
     def __init__(self, factory: Factory = load_synthesizer) -> None:
         self._factory = factory
@@ -61,13 +66,17 @@ class Engine:
             return
         self.unload()
         try:
-            self._synthesizer = self._factory(settings.model or None, key[1], settings.threads or None)
+            self._synthesizer = self._factory(
+                settings.model or None, key[1], settings.threads or None
+            )
         except MegraspError:
             raise
         except Exception as error:
             raise ModelError(
-                f"the model {settings.model or '(default)'} cannot be loaded on {key[1]}: {type(error).__name__}: "
-                f"{error}. Expected a folder with config.json and model.safetensors; check the parameters model and "
+                f"the model {settings.model or '(default)'} cannot be loaded on {key[1]}: "
+                f"{type(error).__name__}: "
+                f"{error}. Expected a folder with config.json and model.safetensors; check the "
+                "parameters model and "
                 "device, or set MEGRASP_MODELS."
             ) from error
         self._loaded = key
@@ -103,7 +112,9 @@ class Engine:
     def synthesize(self, gripper: Gripper, cloud: Any, **options: Any) -> Any:
         """Return the Synthesis of a cloud for this gripper; the model must be loaded."""
         if self._synthesizer is None:
-            raise ModelError("no model is loaded; expected one. Set the parameter model and call again.")
+            raise ModelError(
+                "no model is loaded; expected one. Set the parameter model and call again."
+            )
         self.use(gripper)
         return self._synthesizer.synthesize(cloud, **options)
 
@@ -126,7 +137,9 @@ def trained_hashes(info: Mapping[str, Any]) -> set[str]:
 
 
 def best_of(results: list[tuple[Gripper, Any]]) -> tuple[Gripper, Any]:
-    """Return the gripper whose best grasp scores highest, and its synthesis; the first one if none has any."""
+    """Return the gripper whose best grasp scores highest, and its synthesis; the first one if none
+    has any.
+    """
     return max(results, key=lambda pair: pair[1].grasps[0].score if pair[1].grasps else -np.inf)
 
 

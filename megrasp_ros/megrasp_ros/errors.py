@@ -1,11 +1,13 @@
-"""Errors that only the ROS side knows, and the one place where an exception becomes an error code."""
+"""Errors that only the ROS side knows, and the one place where an exception becomes an error code.
+"""
 
 from __future__ import annotations
 
 from typing import ClassVar
 
-from megrasp_core.errors import MegraspError
 from megrasp_msgs.msg import ErrorCode
+
+from megrasp_core.errors import MegraspError
 
 
 class BusyError(MegraspError):
@@ -73,7 +75,8 @@ def describe(error: BaseException) -> tuple[int, str]:
             "Lower `drawn` or num_grasps, or give a smaller region."
         )
     return ErrorCode.INTERNAL, (
-        f"unexpected {type(error).__name__}: {error}. The node goes on; its log has the details, please report it."
+        f"unexpected {type(error).__name__}: {error}. The node goes on; its log has the details, "
+        "please report it."
     )
 
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from megrasp_core.pointcloud import OrientedBox, support_plane, voxel_means
 from numpy.typing import NDArray
+
+from megrasp_core.pointcloud import OrientedBox, support_plane, voxel_means
 
 FloatArray = NDArray[np.float64]
 
 VOXEL = 0.005
-#: Points this high above the surface (m) are objects: above the noise of depth cameras at arm's length.
+#: Points this high above the surface (m) are objects: above the noise of depth cameras at arm's
+# length.
 MIN_HEIGHT = 0.010
 #: So many voxels (25 mm2 each, seen from above) make an object; fewer are stray points.
 MIN_VOXELS = 8
@@ -17,11 +19,13 @@ MIN_VOXELS = 8
 WALL_STRIP = 0.012
 
 
-def only_support_left(points: FloatArray, region: OrientedBox | None, gravity: FloatArray | None) -> bool:
+def only_support_left(
+    points: FloatArray, region: OrientedBox | None, gravity: FloatArray | None
+) -> bool:
     """Return True when the region shows its support surface and nothing on it.
 
-    points (N, 3) finite, region and gravity (3,) in one frame. False when no support surface is found, since
-    then objects may cover it.
+    points (N, 3) finite, region and gravity (3,) in one frame. False when no support surface is
+    found, since then objects may cover it.
     """
     if region is not None:
         # Inwards at the sides, but down to below the floor and up to the rim.

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseArray
-from megrasp_core.grippers import Gripper
 from megrasp_msgs.msg import Grasp, GraspArray, GripperInfo, RejectionCount, Timing
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
+from megrasp_core.grippers import Gripper
 from megrasp_ros.conversions import matrix_from_pose, pose_from_matrix
 
 
@@ -58,7 +58,9 @@ def gripper_info(gripper: Gripper, *, seen_in_training: bool) -> GripperInfo:
     )
 
 
-def grasp_array(gripper: Gripper, grasps: Sequence[Any], *, header: Header, model_id: str, seed: int) -> GraspArray:
+def grasp_array(
+    gripper: Gripper, grasps: Sequence[Any], *, header: Header, model_id: str, seed: int
+) -> GraspArray:
     """Return the GraspArray of the core's ranked grasps, in their order."""
     opened, closed = _posture(gripper.open_joints), _posture(gripper.closed_joints)
     return GraspArray(
@@ -91,8 +93,12 @@ def rejection_counts(rejected: dict[str, int]) -> list[RejectionCount]:
     return [RejectionCount(reason=reason, count=int(count)) for reason, count in ordered if count]
 
 
-def timing_message(timing: dict[str, float], *, wait: float, perceive: float, total: float) -> Timing:
-    """Return the Timing of a synthesis; `perceive` (decoding, transform) is added to the core's own."""
+def timing_message(
+    timing: dict[str, float], *, wait: float, perceive: float, total: float
+) -> Timing:
+    """Return the Timing of a synthesis; `perceive` (decoding, transform) is added to the core's
+    own.
+    """
     return Timing(
         wait=wait,
         perceive=perceive + timing.get("perceive", 0.0),
@@ -106,13 +112,17 @@ def timing_message(timing: dict[str, float], *, wait: float, perceive: float, to
 def pose_array(
     grasps: GraspArray, which: str, *, gripper_from_reference: NDArray[np.float64] | None = None
 ) -> PoseArray:
-    """Return the poses `pregrasp` or `approach` of all grasps, of the gripper frame or of another one.
+    """Return the poses `pregrasp` or `approach` of all grasps, of the gripper frame or of another
+    one.
 
     gripper_from_reference: (4, 4) pose of the frame to place (TCP, flange) in the gripper frame.
     """
     poses = [getattr(grasp, which) for grasp in grasps.grasps]
     if gripper_from_reference is not None:
-        poses = [pose_from_matrix(matrix_from_pose(pose, which) @ gripper_from_reference) for pose in poses]
+        poses = [
+            pose_from_matrix(matrix_from_pose(pose, which) @ gripper_from_reference)
+            for pose in poses
+        ]
     return PoseArray(header=grasps.header, poses=poses)
 
 

@@ -1,12 +1,12 @@
-"""The gripper side of grasp_server: which gripper is active, and the services that ask and change that."""
+"""The gripper side of grasp_server: which gripper is active, and the services that ask and change
+that.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 import numpy as np
-from megrasp_core.errors import MegraspError, UnknownGripperError
-from megrasp_core.grippers import Gripper
 from megrasp_msgs.msg import ErrorCode, GripperInfo
 from megrasp_msgs.srv import ChangeTool, ListGrippers, ReloadGrippers, SetGripper
 from numpy.typing import NDArray
@@ -15,6 +15,8 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
+from megrasp_core.errors import MegraspError, UnknownGripperError
+from megrasp_core.grippers import Gripper
 from megrasp_ros import parameters
 from megrasp_ros.engine import Engine
 from megrasp_ros.errors import ToolChangeError, ToolMismatchError, describe
@@ -47,17 +49,24 @@ class GripperServices:
         self._group = group
         self._parameter = ""
         self.tool_id = ""
-        node.create_subscription(String, "tool_id", self._on_tool_id, LATCHED, callback_group=group)
+        node.create_subscription(
+            String, "tool_id", self._on_tool_id, LATCHED, callback_group=group
+        )
         node.create_service(SetGripper, "set_gripper", self._set_gripper, callback_group=group)
-        node.create_service(ListGrippers, "list_grippers", self._list_grippers, callback_group=group)
-        node.create_service(ReloadGrippers, "reload_grippers", self._reload_grippers, callback_group=group)
+        node.create_service(
+            ListGrippers, "list_grippers", self._list_grippers, callback_group=group
+        )
+        node.create_service(
+            ReloadGrippers, "reload_grippers", self._reload_grippers, callback_group=group
+        )
 
     def info(self, gripper: Gripper) -> GripperInfo:
         """Return the message of a gripper."""
         return gripper_info(gripper, seen_in_training=self._engine.seen_in_training(gripper))
 
     def follow_parameter(self, settings: Settings) -> None:
-        """Make the gripper of the parameter `gripper` active if the parameter has changed or none is active.
+        """Make the gripper of the parameter `gripper` active if the parameter has changed or none
+        is active.
 
         Raises UnknownGripperError or DescriptionError.
         """
@@ -71,10 +80,11 @@ class GripperServices:
             self._outputs.active_gripper(self.info(self._engine.active), self._engine.active)
 
     def chosen(self, name: str, settings: Settings) -> list[Gripper]:
-        """Return the grippers a request with this gripper_name is computed for; the worker calls this.
+        """Return the grippers a request with this gripper_name is computed for; the worker calls
+        this.
 
-        Raises UnknownGripperError, DescriptionError, and ToolMismatchError when the active gripper is not the one
-        that tool_id reports.
+        Raises UnknownGripperError, DescriptionError, and ToolMismatchError when the active gripper
+        is not the one that tool_id reports.
         """
         if name == "auto":
             names = settings.rack
@@ -89,13 +99,18 @@ class GripperServices:
         assert active is not None, "follow_parameter activates a gripper or raises"
         if self.tool_id and self.tool_id != active.name:
             raise ToolMismatchError(
-                f"tool_id reports {self.tool_id!r}, but the active gripper is {active.name!r}; expected the same. "
+                f"tool_id reports {self.tool_id!r}, but the active gripper is {active.name!r}; "
+                "expected the same. "
                 f"Call set_gripper with {self.tool_id!r}, or mount {active.name!r}."
             )
         return [active]
 
-    def gripper_from_reference(self, gripper: Gripper, settings: Settings) -> NDArray[np.float64] | None:
-        """Return the pose (4, 4), in the gripper frame, of the frame that `pose_reference` names; None: itself."""
+    def gripper_from_reference(
+        self, gripper: Gripper, settings: Settings
+    ) -> NDArray[np.float64] | None:
+        """Return the pose (4, 4), in the gripper frame, of the frame that `pose_reference` names;
+        None: itself.
+        """
         if settings.pose_reference == "tcp":
             return gripper.gripper_from_tcp
         if settings.pose_reference == "flange":
@@ -112,12 +127,15 @@ class GripperServices:
     def _on_tool_id(self, message: String) -> None:
         self.tool_id = message.data
 
-    def _set_gripper(self, request: SetGripper.Request, response: SetGripper.Response) -> SetGripper.Response:
+    def _set_gripper(
+        self, request: SetGripper.Request, response: SetGripper.Response
+    ) -> SetGripper.Response:
         settings = parameters.read(self._node)
         response.available = self._engine.available(settings)
         try:
             response.gripper = self._run_job(
-                f"set_gripper {request.gripper_name!r}", lambda job: self._change(request, settings)
+                f"set_gripper {request.gripper_name!r}",
+                lambda job: self._change(request, settings),
             )
         except Exception as error:
             response.error_code, response.error_msg = describe(error)
@@ -125,7 +143,8 @@ class GripperServices:
             return response
         response.success = True
         self._node.get_logger().info(
-            f"gripper {response.gripper.name!r}{' could be active (dry run)' if request.dry_run else ' is active'}"
+            "gripper "
+            f"{response.gripper.name!r}{' could be active (dry run)' if request.dry_run else ' is active'}"
         )
         return response
 
@@ -148,23 +167,31 @@ class GripperServices:
         try:
             if not client.wait_for_service(timeout_sec=10.0):
                 raise ToolChangeError(
-                    f"no service {service!r} after 10 s; expected the tool changer. Start it, or set the parameter "
+                    f"no service {service!r} after 10 s; expected the tool changer. Start it, or "
+                    "set the parameter "
                     "tool_changer to the name of its ChangeTool service."
                 )
             answer = wait_for_future(
                 client.call_async(ChangeTool.Request(gripper_name=name)), CHANGE_TOOL_TIMEOUT
             )
             if answer is None or not answer.success:
-                why = f"no answer within {CHANGE_TOOL_TIMEOUT:g} s" if answer is None else answer.message
+                why = (
+                    f"no answer within {CHANGE_TOOL_TIMEOUT:g} s"
+                    if answer is None
+                    else answer.message
+                )
                 raise ToolChangeError(
-                    f"the tool changer did not mount {name!r}: {why}. Check the changer; the active gripper is "
+                    f"the tool changer did not mount {name!r}: {why}. Check the changer; the "
+                    "active gripper is "
                     "unchanged here."
                 )
             self.tool_id = answer.mounted or self.tool_id
         finally:
             self._node.destroy_client(client)
 
-    def _list_grippers(self, _: ListGrippers.Request, response: ListGrippers.Response) -> ListGrippers.Response:
+    def _list_grippers(
+        self, _: ListGrippers.Request, response: ListGrippers.Response
+    ) -> ListGrippers.Response:
         settings = parameters.read(self._node)
         active = self._engine.active
         response.active = "" if active is None else active.name
@@ -187,7 +214,9 @@ class GripperServices:
             response.success = not response.failed
             if response.failed:
                 response.error_code = ErrorCode.BAD_DESCRIPTION
-                response.error_msg = f"{len(response.failed)} description(s) cannot be read; see `failed`."
+                response.error_msg = (
+                    f"{len(response.failed)} description(s) cannot be read; see `failed`."
+                )
         response.available = self._engine.available(settings)
         return response
 

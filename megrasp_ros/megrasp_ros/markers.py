@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 from geometry_msgs.msg import Point
-from megrasp_core.grippers import Gripper
 from megrasp_msgs.msg import GraspArray
 from numpy.typing import NDArray
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from megrasp_core.grippers import Gripper
 from megrasp_ros.conversions import matrix_from_pose
 
 MAX_DRAWN = 50
@@ -19,15 +19,21 @@ _DEFAULT_WIDTH = 0.08
 
 
 def grasp_markers(grasps: GraspArray, gripper: Gripper | None) -> MarkerArray:
-    """Return markers that replace the earlier ones; green is the best score, red the worst. Thickest is rank 0."""
-    markers = MarkerArray(markers=[Marker(header=grasps.header, ns="grasps", action=Marker.DELETEALL)])
+    """Return markers that replace the earlier ones; green is the best score, red the worst.
+    Thickest is rank 0.
+    """
+    markers = MarkerArray(
+        markers=[Marker(header=grasps.header, ns="grasps", action=Marker.DELETEALL)]
+    )
     if gripper is None or not grasps.grasps:
         return markers
     fork = _fork(gripper.description.max_width or _DEFAULT_WIDTH)
     for rank, grasp in enumerate(grasps.grasps[:MAX_DRAWN]):
         world_from_tcp = matrix_from_pose(grasp.tcp, "tcp")
         points = fork @ world_from_tcp[:3, :3].T + world_from_tcp[:3, 3]
-        marker = Marker(header=grasps.header, ns="grasps", id=rank, type=Marker.LINE_LIST, action=Marker.ADD)
+        marker = Marker(
+            header=grasps.header, ns="grasps", id=rank, type=Marker.LINE_LIST, action=Marker.ADD
+        )
         marker.pose.orientation.w = 1.0
         marker.scale.x = 0.004 if rank == 0 else 0.0015
         score = float(np.clip(grasp.score, 0.0, 1.0))

@@ -6,11 +6,12 @@ import sys
 from collections.abc import Callable
 
 import rclpy
-from megrasp_core.errors import MegraspError
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
+
+from megrasp_core.errors import MegraspError
 
 
 def run_node(make: Callable[[], Node], *, threads: int = 4) -> None:

@@ -1,4 +1,6 @@
-"""Everything grasp_server publishes. Pictures (markers, clouds) are made only while somebody subscribes."""
+"""Everything grasp_server publishes. Pictures (markers, clouds) are made only while somebody
+subscribes.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,6 @@ from collections.abc import Callable
 
 import numpy as np
 from geometry_msgs.msg import PoseArray
-from megrasp_core.grippers import Gripper
 from megrasp_msgs.msg import GraspArray, GripperInfo
 from numpy.typing import NDArray
 from rclpy.lifecycle import LifecycleNode
@@ -14,6 +15,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
+from megrasp_core.grippers import Gripper
 from megrasp_ros.cell_messages import cloud_message
 from megrasp_ros.grasp_messages import pose_array
 from megrasp_ros.markers import grasp_markers
@@ -29,7 +31,7 @@ class Outputs:
     def __init__(self, node: LifecycleNode) -> None:
         self._node = node
 
-        def latched(kind: type, name: str):  # noqa: ANN202  (rclpy's publishers are untyped)
+        def latched(kind: type, name: str):
             return node.create_lifecycle_publisher(kind, name, LATCHED)
 
         self._pregrasps = latched(PoseArray, "pregrasps")
@@ -41,13 +43,18 @@ class Outputs:
         self._gripper = latched(PointCloud2, "gripper_cloud")
 
     def grasps(
-        self, grasps: GraspArray, gripper: Gripper | None, gripper_from_reference: NDArray[np.float64] | None
+        self,
+        grasps: GraspArray,
+        gripper: Gripper | None,
+        gripper_from_reference: NDArray[np.float64] | None,
     ) -> None:
         """Publish `pregrasps`, `approach_poses`, `grasps` and the markers, in this order."""
         self._pregrasps.publish(
             pose_array(grasps, "pregrasp", gripper_from_reference=gripper_from_reference)
         )
-        self._approach.publish(pose_array(grasps, "approach", gripper_from_reference=gripper_from_reference))
+        self._approach.publish(
+            pose_array(grasps, "approach", gripper_from_reference=gripper_from_reference)
+        )
         self._grasps.publish(grasps)
         if self._markers.get_subscription_count():
             self._markers.publish(grasp_markers(grasps, gripper))

@@ -1,4 +1,5 @@
-"""The parameters of grasp_server: one table with descriptions, ranges and checks, and a typed snapshot of it.
+"""The parameters of grasp_server: one table with descriptions, ranges and checks, and a typed
+snapshot of it.
 
 Changes are checked when they are made and take effect with the next request.
 """
@@ -11,10 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from megrasp_core.errors import InvalidRequestError
-from megrasp_core.grippers import Gripper
-from megrasp_core.pointcloud import OrientedBox
-from megrasp_core.synthesizer import MAX_DRAWN, MAX_GRASPS
 from numpy.typing import NDArray
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -25,6 +22,10 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from megrasp_core.errors import InvalidRequestError
+from megrasp_core.grippers import Gripper
+from megrasp_core.pointcloud import OrientedBox
+from megrasp_core.synthesizer import MAX_DRAWN, MAX_GRASPS
 from megrasp_ros.conversions import matrix_from_numbers
 
 FLANGE_PREFIX = "flange_from_gripper."
@@ -35,7 +36,9 @@ Check = Callable[[Any], str]
 
 @dataclass(frozen=True)
 class Spec:
-    """A parameter: its default gives its type; `check` returns what is wrong with a value, "" when nothing is."""
+    """A parameter: its default gives its type; `check` returns what is wrong with a value, "" when
+    nothing is.
+    """
 
     default: Any
     description: str
@@ -49,14 +52,20 @@ class Spec:
         descriptor = ParameterDescriptor(description=self.description, read_only=self.read_only)
         if self.low is not None and self.high is not None:
             if isinstance(self.default, float):
-                descriptor.floating_point_range = [FloatingPointRange(from_value=self.low, to_value=self.high)]
+                descriptor.floating_point_range = [
+                    FloatingPointRange(from_value=self.low, to_value=self.high)
+                ]
             else:
-                descriptor.integer_range = [IntegerRange(from_value=int(self.low), to_value=int(self.high))]
+                descriptor.integer_range = [
+                    IntegerRange(from_value=int(self.low), to_value=int(self.high))
+                ]
         return descriptor
 
 
 def _one_of(*choices: str) -> Check:
-    return lambda value: "" if value in choices else f"{value!r} was given; expected one of {', '.join(choices)}"
+    return lambda value: (
+        "" if value in choices else f"{value!r} was given; expected one of {', '.join(choices)}"
+    )
 
 
 def _numbers(count: int, meaning: str) -> Check:
@@ -90,10 +99,14 @@ def _size(value: Sequence[float]) -> str:
 
 TABLE: dict[str, Spec] = {
     "autostart": Spec(
-        True, "configure and activate by itself at the start; false: a lifecycle manager does it", read_only=True
+        True,
+        "configure and activate by itself at the start; false: a lifecycle manager does it",
+        read_only=True,
     ),
     "gripper": Spec(
-        "robotiq_2f85", "gripper that is active after configuring: a registered name or the folder of a gripper.yaml"
+        "robotiq_2f85",
+        "gripper that is active after configuring: a registered name or the folder of a "
+        "gripper.yaml",
     ),
     "gripper_paths": Spec([""], "folders with further grippers, searched before the shipped ones"),
     "rack": Spec([""], 'grippers that a request for "auto" chooses from; empty: the active one'),
@@ -103,17 +116,20 @@ TABLE: dict[str, Spec] = {
     "planning_frame": Spec("", "frame of all answers; empty: the frame of the cloud"),
     "extrinsics": Spec(
         [0.0] * 7,
-        "planning_from_cloud as x, y, z, qx, qy, qz, qw; all 0: unset, tf2 is asked when planning_frame differs",
+        "planning_from_cloud as x, y, z, qx, qy, qz, qw; all 0: unset, tf2 is asked when "
+        "planning_frame differs",
         check=_pose(unset_allowed=True),
     ),
     "gravity": Spec(
         [0.0] * 3,
-        "direction of gravity in the planning frame; all 0: unset, then -z, but an error in an optical frame",
+        "direction of gravity in the planning frame; all 0: unset, then -z, but an error in an "
+        "optical frame",
         check=_numbers(3, "the direction that things fall, in the planning frame"),
     ),
     "sensor_origin": Spec(
         [0.0] * 3,
-        "place of the sensor in the frame of the cloud (m); the default is the origin of that frame",
+        "place of the sensor in the frame of the cloud (m); the default is the origin of that "
+        "frame",
         check=_numbers(3, "x, y, z in metres"),
     ),
     "pose_reference": Spec(
@@ -123,35 +139,50 @@ TABLE: dict[str, Spec] = {
     ),
     "region.pose": Spec(
         list(_IDENTITY),
-        "centre and axes of the region (the inside of the bin) in the planning frame: x, y, z, qx, qy, qz, qw",
+        "centre and axes of the region (the inside of the bin) in the planning frame: x, y, z, "
+        "qx, qy, qz, qw",
         check=_pose(unset_allowed=False),
     ),
-    "region.size": Spec([0.0] * 3, "full edges of the region (m); all 0: no region, the whole cloud", check=_size),
+    "region.size": Spec(
+        [0.0] * 3, "full edges of the region (m); all 0: no region, the whole cloud", check=_size
+    ),
     "region.walls": Spec(
-        True, "the sides of the region are walls and its bottom the floor: grasps may not cross them"
+        True,
+        "the sides of the region are walls and its bottom the floor: grasps may not cross them",
     ),
     "cloud_max_age": Spec(5.0, "oldest cloud that is used (s, by its stamp); 0: any", 0.0, 3600.0),
     "cloud_timeout": Spec(5.0, "longest wait for a cloud on `points` (s)", 0.05, 600.0),
     "num_grasps": Spec(20, "grasps of a synthesis by auto_synthesize", 1, MAX_GRASPS),
     "max_num_grasps": Spec(1000, "most grasps a request may ask for", 1, MAX_GRASPS),
     "drawn": Spec(100, "poses drawn per synthesis; at least num_grasps are drawn", 1, MAX_DRAWN),
-    "max_tilt": Spec(math.pi, "largest angle between the gripper's +Z and gravity (rad); pi: any", 0.01, math.pi),
-    "approach_distance": Spec(0.10, "distance of the approach pose from the pre-grasp (m)", 0.0, 1.0),
+    "max_tilt": Spec(
+        math.pi, "largest angle between the gripper's +Z and gravity (rad); pi: any", 0.01, math.pi
+    ),
+    "approach_distance": Spec(
+        0.10, "distance of the approach pose from the pre-grasp (m)", 0.0, 1.0
+    ),
     "approach_direction": Spec(
-        "tool", "tool: back along the gripper's -Z; gravity: straight up", check=_one_of("tool", "gravity")
+        "tool",
+        "tool: back along the gripper's -Z; gravity: straight up",
+        check=_one_of("tool", "gravity"),
     ),
     "request_timeout": Spec(60.0, "longest time from request to answer (s)", 0.05, 3600.0),
     "auto_synthesize": Spec(
-        "off", "off | on_cloud: publish grasps for new clouds without a call", check=_one_of("off", "on_cloud")
+        "off",
+        "off | on_cloud: publish grasps for new clouds without a call",
+        check=_one_of("off", "on_cloud"),
     ),
     "auto_period": Spec(1.0, "shortest time between two automatic syntheses (s)", 0.0, 3600.0),
     "points_subscription": Spec(
         "on_demand",
-        "on_demand: `points` is subscribed while a request waits; continuous: always (no wait, more load)",
+        "on_demand: `points` is subscribed while a request waits; continuous: always (no wait, "
+        "more load)",
         check=_one_of("on_demand", "continuous"),
     ),
     "tool_changer": Spec(
-        "", "ChangeTool service that set_gripper calls before it switches; empty: the tool is changed by others"
+        "",
+        "ChangeTool service that set_gripper calls before it switches; empty: the tool is changed "
+        "by others",
     ),
 }
 
@@ -189,7 +220,9 @@ class Settings:
 
 
 def declare(node: Node) -> None:
-    """Declare the table's parameters and every `flange_from_gripper.<name>` that was given at the start."""
+    """Declare the table's parameters and every `flange_from_gripper.<name>` that was given at the
+    start.
+    """
     for name, spec in TABLE.items():
         node.declare_parameter(name, spec.default, spec.descriptor())
     for name in sorted(getattr(node, "_parameter_overrides", {})):
@@ -209,7 +242,9 @@ def declare_flange(node: Node, gripper: str) -> None:
 
 
 def flange_from_gripper(node: Node, gripper: Gripper) -> NDArray[np.float64]:
-    """Return (4, 4): the parameter if it was given, else what the description says, else the identity."""
+    """Return (4, 4): the parameter if it was given, else what the description says, else the
+    identity.
+    """
     name = FLANGE_PREFIX + gripper.name
     if node.has_parameter(name):
         return matrix_from_numbers(node.get_parameter(name).value, name)
@@ -234,7 +269,9 @@ def check_parameters(parameters: list[Parameter]) -> SetParametersResult:
             check = _pose(unset_allowed=False)
         wrong = check(parameter.value) if check is not None else ""
         if wrong:
-            return SetParametersResult(successful=False, reason=f"parameter {parameter.name}: {wrong}")
+            return SetParametersResult(
+                successful=False, reason=f"parameter {parameter.name}: {wrong}"
+            )
     return SetParametersResult(successful=True)
 
 
@@ -243,9 +280,16 @@ def read(node: Node) -> Settings:
     values = {name: node.get_parameter(name).value for name in TABLE}
     values.pop("autostart")
     size, pose = list(values.pop("region.size")), values.pop("region.pose")
-    region = OrientedBox(matrix_from_numbers(pose, "region.pose"), np.array(size)) if any(size) else None
+    region = (
+        OrientedBox(matrix_from_numbers(pose, "region.pose"), np.array(size))
+        if any(size)
+        else None
+    )
     values["region_walls"] = values.pop("region.walls")
-    extrinsics, gravity = list(values.pop("extrinsics")), np.array(values.pop("gravity"), dtype=np.float64)
+    extrinsics, gravity = (
+        list(values.pop("extrinsics")),
+        np.array(values.pop("gravity"), dtype=np.float64),
+    )
     length = float(np.linalg.norm(gravity))
     return Settings(
         **{
@@ -253,7 +297,9 @@ def read(node: Node) -> Settings:
             "gripper_paths": tuple(path for path in values["gripper_paths"] if path),
             "rack": tuple(name for name in values["rack"] if name),
             "region": region,
-            "extrinsics": matrix_from_numbers(extrinsics, "extrinsics") if any(extrinsics) else None,
+            "extrinsics": matrix_from_numbers(extrinsics, "extrinsics")
+            if any(extrinsics)
+            else None,
             "gravity": gravity / length if length > 0 else None,
             "sensor_origin": np.array(values["sensor_origin"], dtype=np.float64),
         }

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-#: Sensor data. Best effort matches publishers of either kind; depth 1, because only the newest cloud matters.
+#: Sensor data. Best effort matches publishers of either kind; depth 1, because only the newest
+# cloud matters.
 SENSOR = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=1,

@@ -8,20 +8,22 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from megrasp_core.errors import InvalidRequestError
-from megrasp_core.pointcloud import OrientedBox
 from megrasp_msgs.action import GenerateGrasps
 from megrasp_msgs.srv import SynthesizeGrasps
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
+from megrasp_core.errors import InvalidRequestError
+from megrasp_core.pointcloud import OrientedBox
 from megrasp_ros.conversions import box_from_message, matrix_from_pose
 from megrasp_ros.parameters import Settings
 
 
 @dataclass(frozen=True)
 class Request:
-    """What to compute. Poses and region are in the planning frame; fields as in SynthesizeGrasps.srv."""
+    """What to compute. Poses and region are in the planning frame; fields as in
+    SynthesizeGrasps.srv.
+    """
 
     num_grasps: int
     seed: int
@@ -35,14 +37,17 @@ class Request:
     exclude_radius: float = 0.02
 
 
-def checked_request(message: SynthesizeGrasps.Request | GenerateGrasps.Goal, settings: Settings) -> Request:
+def checked_request(
+    message: SynthesizeGrasps.Request | GenerateGrasps.Goal, settings: Settings
+) -> Request:
     """Return the request with the parameters filled in for what it leaves open.
 
     Raises InvalidRequestError when a field is out of its range.
     """
     if not 1 <= message.num_grasps <= settings.max_num_grasps:
         raise InvalidRequestError(
-            f"num_grasps is {message.num_grasps}; expected 1 to {settings.max_num_grasps}, the parameter "
+            f"num_grasps is {message.num_grasps}; expected 1 to {settings.max_num_grasps}, the "
+            "parameter "
             "max_num_grasps. Ask for fewer, or raise the parameter."
         )
     _in_range("max_tilt", message.max_tilt, math.pi, "rad; 0: the parameter max_tilt")
@@ -58,7 +63,9 @@ def checked_request(message: SynthesizeGrasps.Request | GenerateGrasps.Goal, set
         gripper_name=message.gripper_name,
         cloud=message.cloud if message.cloud.width else None,
         not_before=message.not_before,
-        exclude=tuple(matrix_from_pose(pose, f"exclude[{i}]") for i, pose in enumerate(message.exclude)),
+        exclude=tuple(
+            matrix_from_pose(pose, f"exclude[{i}]") for i, pose in enumerate(message.exclude)
+        ),
         exclude_radius=float(message.exclude_radius),
     )
 

@@ -1,4 +1,4 @@
-"""Node `sim_cell`: the robot cell, played in MuJoCo, behind the interfaces that a real cell would offer.
+"""Node `sim_cell`: the robot cell, played in MuJoCo, behind the interfaces of a real cell.
 
 Publishes `points` (PointCloud2, best effort, depth 1), `depth` and `camera_info`, each only while
 somebody listens, and `tool_id` (latched). Serves `change_tool` and the action `execute_grasp`. The
@@ -16,9 +16,6 @@ from pathlib import Path
 
 import numpy as np
 from builtin_interfaces.msg import Time as TimeMessage
-from megrasp_core.errors import InvalidRequestError
-from megrasp_core.objects import load_objects
-from megrasp_core.simulation.cell import CellView, ExecutionResult, RobotCell
 from megrasp_msgs.action import ExecuteGrasp
 from megrasp_msgs.srv import ChangeTool
 from rclpy.action import ActionServer, CancelResponse
@@ -29,6 +26,9 @@ from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import String
 
+from megrasp_core.errors import InvalidRequestError
+from megrasp_core.objects import load_objects
+from megrasp_core.simulation.cell import CellView, ExecutionResult, RobotCell
 from megrasp_ros.cell_messages import camera_info_message, cloud_message, depth_message
 from megrasp_ros.cell_parameters import CellParameters, declare_cell_parameters
 from megrasp_ros.conversions import matrix_from_pose

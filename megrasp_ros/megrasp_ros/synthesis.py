@@ -7,13 +7,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from megrasp_core.grippers import Gripper
-from megrasp_core.pointcloud import Cloud
 from megrasp_msgs.msg import ErrorCode
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
+from megrasp_core.grippers import Gripper
+from megrasp_core.pointcloud import Cloud
 from megrasp_ros.clouds import CloudSource
 from megrasp_ros.conversions import points_from_cloud
 from megrasp_ros.engine import Engine, best_of
@@ -33,7 +33,9 @@ _PHASES = {"rank": "check"}
 
 
 class Synthesis:
-    """The steps of a request: wait for the cloud, bring it into the planning frame, synthesize, make messages."""
+    """The steps of a request: wait for the cloud, bring it into the planning frame, synthesize,
+    make messages.
+    """
 
     def __init__(self, engine: Engine, clouds: CloudSource, frames: FrameSource) -> None:
         self._engine = engine
@@ -42,12 +44,17 @@ class Synthesis:
         self.last_points: FloatArray = np.empty((0, 3))
 
     def run(
-        self, job: Job, request: Request, settings: Settings, grippers: list[Gripper], on_step: OnStep | None = None
+        self,
+        job: Job,
+        request: Request,
+        settings: Settings,
+        grippers: list[Gripper],
+        on_step: OnStep | None = None,
     ) -> Outcome:
         """Return the outcome for the best of `grippers` (usually one).
 
-        Errors of the request, the cloud and the model are raised; that no grasp was found is an outcome, since it
-        comes with counts.
+        Errors of the request, the cloud and the model are raised; that no grasp was found is an
+        outcome, since it comes with counts.
         """
         step = on_step or (lambda phase, index, total: None)
         step("wait", 0, 0)
@@ -66,20 +73,33 @@ class Synthesis:
         job.check()
         if only_support_left(cloud.points, request.region, gravity):
             raise BinEmptyError(
-                f"only the support surface is left in the {'region' if request.region is not None else 'cloud'}; "
-                "expected objects of at least 10 mm height. The bin is empty; fill it, or check the region."
+                "only the support surface is left in the "
+                f"{'region' if request.region is not None else 'cloud'}; "
+                "expected objects of at least 10 mm height. The bin is empty; fill it, or check "
+                "the region."
             )
         perceive = time.monotonic() - perceived
         results = [
-            (gripper, self._engine.synthesize(gripper, cloud, **self._options(job, request, settings, gravity, step)))
+            (
+                gripper,
+                self._engine.synthesize(
+                    gripper, cloud, **self._options(job, request, settings, gravity, step)
+                ),
+            )
             for gripper in grippers
         ]
         gripper, synthesis = best_of(results)
         outcome = Outcome(
             grasps=grasp_array(
-                gripper, synthesis.grasps, header=header, model_id=self._engine.model_id, seed=synthesis.seed
+                gripper,
+                synthesis.grasps,
+                header=header,
+                model_id=self._engine.model_id,
+                seed=synthesis.seed,
             ),
-            timing=timing_message(synthesis.timing, wait=waited, perceive=perceive, total=job.elapsed),
+            timing=timing_message(
+                synthesis.timing, wait=waited, perceive=perceive, total=job.elapsed
+            ),
             rejected=rejection_counts(synthesis.rejected),
         )
         if not synthesis.grasps:
@@ -87,11 +107,17 @@ class Synthesis:
             outcome.error_msg = no_grasp_text(synthesis.drawn, synthesis.rejected, gripper.name)
         return outcome
 
-    def _perceive(self, message: PointCloud2, settings: Settings) -> tuple[Cloud, Header, FloatArray]:
-        """Return the cloud in the planning frame, the header of the answer and gravity (3,) in that frame."""
+    def _perceive(
+        self, message: PointCloud2, settings: Settings
+    ) -> tuple[Cloud, Header, FloatArray]:
+        """Return the cloud in the planning frame, the header of the answer and gravity (3,) in
+        that frame.
+        """
         frame, planning_from_cloud = self._frames.planning_from_cloud(message.header, settings)
         gravity = gravity_in(frame, settings)
-        cloud = Cloud(points_from_cloud(message), None, settings.sensor_origin).transformed(planning_from_cloud)
+        cloud = Cloud(points_from_cloud(message), None, settings.sensor_origin).transformed(
+            planning_from_cloud
+        )
         self.last_points = cloud.points
         return cloud, Header(stamp=message.header.stamp, frame_id=frame), gravity
 
@@ -117,7 +143,10 @@ class Synthesis:
 
 def no_grasp_text(drawn: int, rejected: dict[str, int], gripper: str) -> str:
     """Return the message of error 400, with what to do about the most frequent reason."""
-    counts = ", ".join(f"{reason} {count}" for reason, count in rejected.items() if count) or "no reason counted"
+    counts = (
+        ", ".join(f"{reason} {count}" for reason, count in rejected.items() if count)
+        or "no reason counted"
+    )
     advice = {
         "collision": "the gripper may be too large for the heap; try another gripper",
         "unseen": "much of the scene is hidden from the camera; look from another place",

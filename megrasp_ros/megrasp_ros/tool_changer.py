@@ -12,13 +12,13 @@ compares with its active gripper (error 203).
 
 from __future__ import annotations
 
-from megrasp_core.errors import InvalidRequestError
 from megrasp_msgs.srv import ChangeTool
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_msgs.msg import String
 
+from megrasp_core.errors import InvalidRequestError
 from megrasp_ros.node_main import run_node
 from megrasp_ros.qos import LATCHED
 from megrasp_ros.waiting import wait_for_future

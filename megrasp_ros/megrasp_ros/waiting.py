@@ -18,7 +18,7 @@ SLICE = 0.2
 def wait_for_future(
     future: Future, timeout: float, *, context: Context | None = None
 ) -> Any | None:
-    """The future's result, or None if it is not there after `timeout` seconds (the future is then cancelled).
+    """The future's result, or None after `timeout` seconds without one (it is then cancelled).
 
     context: that of the node, None for rclpy's default one.
     Somebody else must spin the node, and not from the calling thread. Raises what the future

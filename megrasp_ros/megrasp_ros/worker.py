@@ -1,4 +1,6 @@
-"""One thread that does all computing, so that the executor stays free and torch sees a single thread."""
+"""One thread that does all computing, so that the executor stays free and torch sees a single
+thread.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +11,28 @@ from collections.abc import Callable
 from typing import Any
 
 from megrasp_core.errors import CancelledError, RequestTimeoutError
-
 from megrasp_ros.errors import BusyError, is_expected
 
 _log = logging.getLogger(__name__)
 
 
 class Job:
-    """A piece of work for the worker, and its outcome. `timeout` (s, 0: none) counts from the construction."""
+    """A piece of work for the worker, and its outcome.
 
-    def __init__(self, what: str, work: Callable[[Job], Any], timeout: float = 0.0) -> None:
+    `timeout` (s, 0: none) counts from the construction. A `background` job makes way for any
+    other.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        work: Callable[[Job], Any],
+        timeout: float = 0.0,
+        *,
+        background: bool = False,
+    ) -> None:
         self.what = what
+        self.background = background
         self.work = work
         self.timeout = timeout
         self.started = time.monotonic()
@@ -55,7 +68,8 @@ class Job:
             raise CancelledError(self._reason)
         if self.remaining <= 0:
             raise RequestTimeoutError(
-                f"the request was not done within its timeout of {self.timeout:g} s; give it more time, or lower "
+                f"the request was not done within its timeout of {self.timeout:g} s; give it more "
+                "time, or lower "
                 "num_grasps or `drawn`."
             )
 
@@ -68,7 +82,9 @@ class Job:
 
 
 class Worker:
-    """Runs one job at a time in its own thread. There is no queue: a second job is refused or takes over."""
+    """Runs one job at a time in its own thread. There is no queue: a second job is refused or
+    takes over.
+    """
 
     def __init__(self, name: str = "megrasp_worker") -> None:
         self._changed = threading.Condition()
@@ -83,27 +99,24 @@ class Worker:
         return self._job
 
     def submit(self, job: Job, *, preempt: bool = False) -> Job:
-        """Start a job. While another one runs: BusyError, or with `preempt` that one is cancelled first."""
+        """Start a job. While another one runs: BusyError; with `preempt`, or if that one is a
+        background job, it is cancelled first.
+        """
         with self._changed:
             while self._job is not None and not self._closed:
-                if not preempt:
+                if not (preempt or self._job.background):
                     raise BusyError(
-                        f"a job is running ({self._job.what}, for {self._job.elapsed:.1f} s); try again when it is "
+                        f"a job is running ({self._job.what}, for {self._job.elapsed:.1f} s); try "
+                        "again when it is "
                         "done, cancel it, or send generate_grasps with preempt: true."
                     )
-                self._job.cancel("another goal with preempt: true took over; send the goal again if it is needed.")
+                self._job.cancel("another request took over; send this one again if it is needed.")
                 self._changed.wait()
             if self._closed:
                 raise BusyError("the node is shutting down; start it again.")
             self._job = job
             self._changed.notify_all()
         return job
-
-    def cancel(self, reason: str) -> None:
-        """Cancel the running job, if there is one."""
-        job = self._job
-        if job is not None:
-            job.cancel(reason)
 
     def close(self, timeout: float = 10.0) -> None:
         """Cancel the running job and end the thread."""
@@ -125,7 +138,8 @@ class Worker:
             self._execute(job)
             with self._changed:
                 self._job = None
-                # Set after the slot is free: whoever waited for this job may submit the next one at once.
+                # Set after the slot is free: whoever waited for this job may submit the next one
+                # at once.
                 job.done.set()
                 self._changed.notify_all()
 

@@ -56,6 +56,8 @@ def test_importing_every_module_loads_no_ros() -> None:
         "    importlib.import_module(name)\n"
         f"print(sorted({ROS!r} & {{name.partition('.')[0] for name in sys.modules}}))\n"
     )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
     assert result.returncode == 0, result.stderr
     assert result.stdout.strip() == "[]"

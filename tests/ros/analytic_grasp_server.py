@@ -1,7 +1,8 @@
 """Test double of grasp_server: grasps for lone boxes, straight from the cloud, without a model.
 
-It answers `synthesize_grasps` and `set_gripper` by the rules of the interface. `--fail-first N` lets the first N
-answers per gripper point into the air; `--error CODE` answers every synthesis with that error.
+It answers `synthesize_grasps` and `set_gripper` by the rules of the interface. `--fail-first N`
+lets the first N answers per gripper point into the air; `--error CODE` answers every synthesis
+with that error.
 """
 
 from __future__ import annotations
@@ -14,16 +15,17 @@ import threading
 import numpy as np
 import rclpy
 from geometry_msgs.msg import Pose
-from megrasp_core.grippers import load_gripper
 from megrasp_msgs.msg import ErrorCode, Grasp, GraspArray
 from megrasp_msgs.srv import SetGripper, SynthesizeGrasps
-from megrasp_ros.conversions import matrix_from_pose, points_from_cloud, pose_from_matrix
-from megrasp_ros.qos import SENSOR
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from scipy.spatial import cKDTree
 from sensor_msgs.msg import PointCloud2
+
+from megrasp_core.grippers import load_gripper
+from megrasp_ros.conversions import matrix_from_pose, points_from_cloud, pose_from_matrix
+from megrasp_ros.qos import SENSOR
 
 APPROACH = 0.10
 
@@ -118,7 +120,7 @@ def _raised(pose: np.ndarray, by: float) -> np.ndarray:
 
 
 def _boxes_from_above(points: np.ndarray, half: np.ndarray) -> list[np.ndarray]:
-    """TCP poses (4, 4), highest cluster first: closing along the narrow side of each cluster's top."""
+    """TCP poses (4, 4), highest cluster first, closing along the narrow side of its top."""
     inside = (np.abs(points[:, :2]) < half - 0.008).all(axis=1) & (points[:, 2] > 0.012)
     rest = points[inside][::4]
     poses = []

@@ -13,12 +13,18 @@ from pathlib import Path
 import numpy as np
 import rclpy
 from ament_index_python.packages import get_package_prefix
-from megrasp_core.objects import ObjectModel, save_object
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-WAIT = 30.0
-"""Discovery takes up to 3 s and a node's imports several on a busy machine."""
+from megrasp_core.objects import ObjectModel, save_object
+
+WAIT = 90.0
+"""Longest wait (s). Discovery takes up to 3 s, imports ten times that on a busy machine."""
+
+
+def own_domain(offset: int) -> int:
+    """A ROS domain of this test session, apart from those of other sessions on the machine."""
+    return 20 + (os.getpid() * 7 + offset) % 180
 
 
 class Processes:
@@ -36,10 +42,12 @@ class Processes:
             "PYTHONUNBUFFERED": "1",
         }
 
-    def start(self, name: str, **parameters: object) -> subprocess.Popen[bytes]:
-        """Starts an executable of megrasp_ros; its output goes to NAME.log."""
+    def start(
+        self, name: str, *, label: str = "", **parameters: object
+    ) -> subprocess.Popen[bytes]:
+        """Starts an executable of megrasp_ros; its output goes to LABEL.log or NAME.log."""
         executable = Path(get_package_prefix("megrasp_ros")) / "lib" / "megrasp_ros" / name
-        return self.start_command(name, [str(executable)], **parameters)
+        return self.start_command(label or name, [str(executable)], **parameters)
 
     def start_command(
         self, name: str, command: list[str], **parameters: object
@@ -69,7 +77,9 @@ class Processes:
 
     def logs(self) -> str:
         """Every log, for the message of a failed assertion."""
-        return "\n".join(f"--- {path.name}\n{path.read_text()}" for path in self.folder.glob("*.log"))
+        return "\n".join(
+            f"--- {path.name}\n{path.read_text()}" for path in self.folder.glob("*.log")
+        )
 
     def stop(self, name: str, number: int = signal.SIGINT) -> int:
         """Sends the signal and returns the exit code."""
@@ -132,7 +142,20 @@ def box_model(name: str, edges: tuple[float, float, float], density: float = 600
     size = np.array(edges)
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * size / 2
     faces = np.array(
-        [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+        [
+            [0, 1, 3],
+            [0, 3, 2],
+            [4, 6, 7],
+            [4, 7, 5],
+            [0, 4, 5],
+            [0, 5, 1],
+            [2, 3, 7],
+            [2, 7, 6],
+            [0, 2, 6],
+            [0, 6, 4],
+            [1, 5, 7],
+            [1, 7, 3],
+        ]
     )
     mass = density * float(size.prod())
     x, y, z = size**2

@@ -11,18 +11,21 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from cell_processes import WAIT, Processes, processes, spinning_node, until
+from cell_processes import WAIT, Processes, processes, spinning_node
 from megrasp_msgs.action import GenerateGrasps
 from megrasp_msgs.srv import ListGrippers, ReloadGrippers, SetGripper, SynthesizeGrasps
-from megrasp_ros.cell_messages import cloud_message
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 
+from megrasp_ros.cell_messages import cloud_message
+
 DOUBLE = Path(__file__).parent / "server_double.py"
 GRIPPERS = ("robotiq_2f85", "robotiq_3f")
+START = 240.0
+"""A node imports torch before anything else, which takes half a minute on a busy machine."""
 
 
 def domain(offset: int) -> int:
@@ -55,8 +58,10 @@ class Client:
         }
         self.action = ActionClient(node, GenerateGrasps, "generate_grasps")
         for client in self._services.values():
-            assert client.wait_for_service(timeout_sec=WAIT), f"{client.srv_name} did not appear"
-        assert self.action.wait_for_server(timeout_sec=WAIT)
+            assert client.wait_for_service(timeout_sec=START), f"{client.srv_name} did not appear"
+        assert self.action.wait_for_server(timeout_sec=START)
+        # Services are there before the model is loaded; the first answer comes after that.
+        self.call(ListGrippers.Request(), START)
 
     def start(self, request):
         """Send a service request and return its future."""
@@ -86,7 +91,9 @@ class Client:
 
     def goal(self, *, feedback=None, **fields):
         """Send an action goal; return its handle once it is accepted."""
-        future = self.action.send_goal_async(GenerateGrasps.Goal(**fields), feedback_callback=feedback)
+        future = self.action.send_goal_async(
+            GenerateGrasps.Goal(**fields), feedback_callback=feedback
+        )
         handle = result(future)
         assert handle.accepted
         return handle
@@ -106,7 +113,9 @@ def running_server(
 
 
 def table_points(count: int = 4000, *, objects: bool = True, seed: int = 0) -> np.ndarray:
-    """Return points (count, 3) of a table at z = 0 with a block of 4 x 4 x 6 cm at x = 0.05, seen from above."""
+    """Return points (count, 3) of a table at z = 0 with a block of 4 x 4 x 6 cm at x = 0.05, seen
+    from above.
+    """
     rng = np.random.default_rng(seed)
     points = rng.uniform((-0.2, -0.15, 0.0), (0.2, 0.15, 0.0), (count, 3))
     block = (np.abs(points[:, 0] - 0.05) < 0.02) & (np.abs(points[:, 1]) < 0.02)
@@ -118,7 +127,9 @@ def table_points(count: int = 4000, *, objects: bool = True, seed: int = 0) -> n
     return points
 
 
-def stamped_cloud(node: Node, points: np.ndarray, frame: str = "world", age: float = 0.0) -> PointCloud2:
+def stamped_cloud(
+    node: Node, points: np.ndarray, frame: str = "world", age: float = 0.0
+) -> PointCloud2:
     """Return a cloud with the stamp `age` seconds ago."""
     now = node.get_clock().now().nanoseconds - round(age * 1e9)
     message = cloud_message(points, frame=frame, stamp=node.get_clock().now().to_msg())
@@ -127,7 +138,14 @@ def stamped_cloud(node: Node, points: np.ndarray, frame: str = "world", age: flo
 
 
 @contextmanager
-def camera(client: Client, points: np.ndarray, *, frame: str = "world", age: float = 0.0, rate: float = 10.0):
+def camera(
+    client: Client,
+    points: np.ndarray,
+    *,
+    frame: str = "world",
+    age: float = 0.0,
+    rate: float = 10.0,
+):
     """Publish a cloud on `points` while the context lasts, each with a stamp `age` seconds ago."""
     from megrasp_ros.qos import SENSOR
 

@@ -1,7 +1,8 @@
 """The real node grasp_server with a test double in place of the synthesizer.
 
-The parameter `model` says how the double behaves: `quick` and `slow` return grasps above the cloud's centre, `none`
-finds nothing, `memory` runs out of memory, `broken` fails, `damaged` cannot be loaded.
+The parameter `model` says how the double behaves: `quick` and `slow` return grasps above the
+cloud's centre, `none` finds nothing, `memory` runs out of memory, `broken` fails, `damaged` cannot
+be loaded.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import time
 from types import SimpleNamespace
 
 import numpy as np
+
 from megrasp_core.errors import CancelledError, ModelError
 from megrasp_core.grippers import load_gripper
 from megrasp_ros.grasp_server import main
@@ -32,7 +34,9 @@ class DoubleSynthesizer:
     def set_gripper(self, gripper) -> None:
         self.gripper = gripper
 
-    def synthesize(self, cloud, *, num_grasps, drawn, seed, on_step, cancelled, exclude, **options):
+    def synthesize(
+        self, cloud, *, num_grasps, drawn, seed, on_step, cancelled, exclude, **options
+    ):
         self.threads.add(threading.get_ident())
         assert len(self.threads) == 1, "the synthesizer belongs to one thread"
         for step in range(STEPS):
@@ -92,7 +96,9 @@ def _about_z(angle: float) -> np.ndarray:
 
 def make(model: str | None, device: str, threads: int | None) -> DoubleSynthesizer:
     if model == "damaged":
-        raise ModelError("model.safetensors of 'damaged' does not fit; expected a model folder. Set `model`.")
+        raise ModelError(
+            "model.safetensors of 'damaged' does not fit; expected a model folder. Set `model`."
+        )
     return DoubleSynthesizer(model or "quick")
 
 

@@ -7,8 +7,11 @@ from array import array
 import numpy as np
 import pytest
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
-from megrasp_core.errors import CloudError, InvalidRequestError
 from megrasp_msgs.msg import OrientedBox as OrientedBoxMessage
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import PointCloud2, PointField
+
+from megrasp_core.errors import CloudError, InvalidRequestError
 from megrasp_ros.cell_messages import cloud_message
 from megrasp_ros.conversions import (
     box_from_message,
@@ -18,8 +21,6 @@ from megrasp_ros.conversions import (
     points_from_cloud,
     pose_from_matrix,
 )
-from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import PointCloud2, PointField
 
 POINTS = np.array([[0.1, -0.2, 0.3], [1.0, 2.0, 3.0], [-4.5, 0.0, 0.25], [7.0, 8.0, 9.0]])
 
@@ -34,7 +35,9 @@ def cloud(
     after: int = 0,
     row_padding: int = 0,
 ) -> PointCloud2:
-    """Return a cloud with padding before and after the coordinates, and after each row; junk in the padding."""
+    """Return a cloud with padding before and after the coordinates, and after each row; junk in
+    the padding.
+    """
     dtype = np.dtype(kind)
     step = before + 3 * dtype.itemsize + after
     width = len(points) // height
@@ -45,7 +48,9 @@ def cloud(
             rows.append(b"\xab" * before + values.tobytes() + b"\xcd" * after)
         rows.append(b"\xef" * row_padding)
     datatype = PointField.FLOAT32 if dtype.itemsize == 4 else PointField.FLOAT64
-    fields = [PointField(name="rgb", offset=0, datatype=PointField.UINT8, count=1)] if before else []
+    fields = (
+        [PointField(name="rgb", offset=0, datatype=PointField.UINT8, count=1)] if before else []
+    )
     fields += [
         PointField(name=axis, offset=before + i * dtype.itemsize, datatype=datatype, count=1)
         for i, axis in enumerate(order)
@@ -67,7 +72,9 @@ def cloud(
 def test_every_layout_gives_the_same_points(
     kind: str, height: int, before: int, after: int, row_padding: int
 ) -> None:
-    message = cloud(POINTS, height=height, kind=kind, before=before, after=after, row_padding=row_padding)
+    message = cloud(
+        POINTS, height=height, kind=kind, before=before, after=after, row_padding=row_padding
+    )
     np.testing.assert_allclose(points_from_cloud(message), POINTS, atol=1e-6)
 
 
@@ -86,7 +93,9 @@ def test_integer_fields_are_numbers_too() -> None:
 def test_rows_with_nan_or_infinity_are_left_out() -> None:
     points = POINTS.copy()
     points[1, 2], points[2, 0] = np.nan, np.inf
-    np.testing.assert_allclose(points_from_cloud(cloud(points, height=2)), POINTS[[0, 3]], atol=1e-6)
+    np.testing.assert_allclose(
+        points_from_cloud(cloud(points, height=2)), POINTS[[0, 3]], atol=1e-6
+    )
 
 
 def test_a_single_row_may_lack_its_row_step() -> None:
@@ -143,11 +152,15 @@ def test_poses_come_back() -> None:
     matrix = np.eye(4)
     matrix[:3, :3] = Rotation.from_rotvec([0.3, -1.2, 2.0]).as_matrix()
     matrix[:3, 3] = 1.0, -2.0, 0.5
-    np.testing.assert_allclose(matrix_from_pose(pose_from_matrix(matrix), "pose"), matrix, atol=1e-12)
+    np.testing.assert_allclose(
+        matrix_from_pose(pose_from_matrix(matrix), "pose"), matrix, atol=1e-12
+    )
 
 
 def test_a_quarter_turn_about_z_is_x_y_z_w() -> None:
-    pose = Pose(position=Point(x=1.0), orientation=Quaternion(x=0.0, y=0.0, z=0.5**0.5, w=0.5**0.5))
+    pose = Pose(
+        position=Point(x=1.0), orientation=Quaternion(x=0.0, y=0.0, z=0.5**0.5, w=0.5**0.5)
+    )
     matrix = matrix_from_pose(pose, "pose")
     np.testing.assert_allclose(matrix @ [1, 0, 0, 1], [1, 1, 0, 1], atol=1e-12)
 

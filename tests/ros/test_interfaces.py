@@ -82,7 +82,11 @@ SOURCE = Path(__file__).parents[2] / "ros2_ws" / "src" / "megrasp_msgs"
 
 @pytest.mark.parametrize("kind", EXPECTED, ids=lambda kind: kind.__name__)
 def test_fields_are_those_promised(kind: type) -> None:
-    fields = {name: spec for name, spec in kind.get_fields_and_field_types().items() if not name.startswith("_")}
+    fields = {
+        name: spec
+        for name, spec in kind.get_fields_and_field_types().items()
+        if not name.startswith("_")
+    }
     assert list(fields.items()) == list(EXPECTED[kind].items())
 
 
@@ -100,7 +104,9 @@ def test_defaults_are_those_promised() -> None:
 
 
 def test_every_field_and_constant_is_documented() -> None:
-    files = sorted(path for path in SOURCE.rglob("*.*") if path.suffix in (".msg", ".srv", ".action"))
+    files = sorted(
+        path for path in SOURCE.rglob("*.*") if path.suffix in (".msg", ".srv", ".action")
+    )
     assert len(files) == 14
     for file in files:
         for line in file.read_text().splitlines():

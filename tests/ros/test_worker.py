@@ -5,8 +5,9 @@ from __future__ import annotations
 import threading
 
 import pytest
-from megrasp_core.errors import CancelledError, CloudError, RequestTimeoutError
 from megrasp_msgs.msg import ErrorCode
+
+from megrasp_core.errors import CancelledError, CloudError, RequestTimeoutError
 from megrasp_ros.errors import BusyError, describe, is_expected
 from megrasp_ros.worker import Job, Worker
 
@@ -38,7 +39,9 @@ def test_results_and_errors_reach_the_caller(worker: Worker) -> None:
 
 
 def test_all_jobs_run_in_one_other_thread(worker: Worker) -> None:
-    threads = {worker.submit(Job("id", lambda job: threading.get_ident())).wait() for _ in range(5)}
+    threads = {
+        worker.submit(Job("id", lambda job: threading.get_ident())).wait() for _ in range(5)
+    }
     assert len(threads) == 1
     assert threads != {threading.get_ident()}
 
@@ -60,7 +63,16 @@ def test_a_preempting_job_takes_over(worker: Worker) -> None:
     first = worker.submit(Job("first", stepping(started)))
     assert started.wait(5)
     assert worker.submit(Job("second", lambda job: 2), preempt=True).wait() == 2
-    with pytest.raises(CancelledError, match="preempt"):
+    with pytest.raises(CancelledError, match="took over"):
+        first.wait()
+
+
+def test_a_background_job_makes_way(worker: Worker) -> None:
+    started = threading.Event()
+    first = worker.submit(Job("automatic", stepping(started), background=True))
+    assert started.wait(5)
+    assert worker.submit(Job("request", lambda job: 2)).wait() == 2
+    with pytest.raises(CancelledError, match="took over"):
         first.wait()
 
 

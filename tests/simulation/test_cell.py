@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+
 from megrasp_core.errors import InvalidRequestError, UnknownGripperError
 from megrasp_core.objects import ObjectModel
 from megrasp_core.simulation.cell import CellSettings, RobotCell
-from scipy.spatial.transform import Rotation
 
 RACK = ("robotiq_2f85", "franka_hand")
 BOX = np.array([0.03, 0.05, 0.05])
@@ -15,7 +16,20 @@ NEAR, FAR = (0.06, 0.05), (-0.06, -0.05)
 def box_model(name: str, edges: np.ndarray = BOX, density: float = 600.0) -> ObjectModel:
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * edges / 2
     faces = np.array(
-        [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+        [
+            [0, 1, 3],
+            [0, 3, 2],
+            [4, 6, 7],
+            [4, 7, 5],
+            [0, 4, 5],
+            [0, 5, 1],
+            [2, 3, 7],
+            [2, 7, 6],
+            [0, 2, 6],
+            [0, 6, 4],
+            [1, 5, 7],
+            [1, 7, 3],
+        ]
     )
     mass = density * float(np.prod(edges))
     x, y, z = edges**2

@@ -1,5 +1,7 @@
 """Samplers with exact denoisers: convergence, counts, equivariance, cancelling, mode shares."""
 
+from __future__ import annotations
+
 import math
 
 import pytest
@@ -101,7 +103,9 @@ def test_noise_between_steps_has_the_level_that_is_announced() -> None:
             offset = (step.translation - translation) / (step.s * schedule.sigma_t)
             turn = so3.log(rotation.mT @ step.rotation) / (step.s * schedule.sigma_r)
             assert offset.square().mean() == pytest.approx(1, abs=0.04)
-            assert turn.square().mean() == pytest.approx(1, abs=0.06)
+            # Bridges on SO(3) are Gaussian only for small angles.
+            allowed = 0.03 if step.s < 0.08 else 0.1
+            assert turn.square().mean() == pytest.approx(1, abs=allowed), step.s
             checked += 1
     assert checked == 6
 
@@ -214,6 +218,24 @@ def test_no_gradient_is_recorded_and_low_precision_residuals_are_taken() -> None
     assert torch.is_grad_enabled()
 
 
+def test_autocast_around_the_sampler_does_not_touch_poses() -> None:
+    schedule = NoiseSchedule()
+    ends = []
+    for enabled in (False, True):
+        generator = torch.Generator().manual_seed(3)
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=enabled):
+            steps = sample_steps(
+                lambda r, t, s: torch.full((5, 6), 0.3),
+                torch.ones(5, 3),
+                SamplerSettings(),
+                schedule,
+                generator,
+            )
+            ends.append(last_step(steps))
+    assert torch.equal(ends[0].rotation, ends[1].rotation)
+    assert torch.equal(ends[0].translation, ends[1].translation)
+
+
 @pytest.mark.parametrize(
     "values",
     [
@@ -283,7 +305,7 @@ def test_residual_samplers_favour_the_heavy_mode(record_property) -> None:
 
 
 def test_score_head_recovers_the_shares(record_property) -> None:
-    langevin = _share(SamplerSettings(kind="langevin", restarts=0), 2000)
+    langevin = _share(SamplerSettings(kind="langevin", restarts=0), 1500)
     flow = _share(SamplerSettings(kind="probability_flow", steps=50, restarts=0), 2000)
     record_property("langevin_heavy_share", langevin)
     record_property("probability_flow_heavy_share", flow)

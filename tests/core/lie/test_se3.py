@@ -1,5 +1,7 @@
 """Rigid motions: axioms, exp and log, adjoint, poses at file borders."""
 
+from __future__ import annotations
+
 import math
 
 import numpy as np

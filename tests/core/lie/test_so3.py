@@ -1,5 +1,7 @@
 """Rotations: group axioms, exp and log, quaternions, gradients."""
 
+from __future__ import annotations
+
 import math
 
 import pytest

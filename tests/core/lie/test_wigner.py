@@ -1,5 +1,7 @@
 """Wigner D matrices: homomorphism, e3nn as the oracle, gradients, feature rotation."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterator
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from e3nn.o3 import Irreps
-from scenes import motions, moved, scene, tokens
+from network_scenes import motions, moved, scene, tokens
 from scipy.spatial.transform import Rotation
 
 from megrasp_core.lie import wigner

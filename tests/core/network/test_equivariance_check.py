@@ -1,5 +1,7 @@
 """The equivariance check itself: it passes what is equivariant and catches what is not."""
 
+from __future__ import annotations
+
 import pytest
 import torch
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 from e3nn import o3
-from scenes import tokens
+from network_scenes import tokens
 
 from megrasp_core.network import PRESETS, GraspModel
 from megrasp_core.network.convolution import SELF_PATHS, ReducedConvolution, SelfProduct, harmonics
@@ -130,7 +130,7 @@ def test_selection_tokens_are_spread():
 @torch.no_grad()
 def test_low_precision_stays_close():
     """bfloat16 rounds the token part only: coordinates never pass through it."""
-    from scenes import scene
+    from network_scenes import scene
 
     torch.manual_seed(0)
     model = GraspModel(PRESETS["tiny"]).eval()

@@ -6,7 +6,7 @@ import json
 
 import pytest
 import torch
-from scenes import scene, tokens
+from network_scenes import scene, tokens
 
 from megrasp_core.errors import ModelError
 from megrasp_core.network import PRESETS, GraspModel, load_model, save_model

@@ -14,7 +14,7 @@ CAMERA = np.array([0.05, -0.03, 0.85])
 
 @dataclass(frozen=True)
 class Picture:
-    """points (N, 3) in the world, faces (N,): 0 the table, else 1 + index of the box; normals (N, 3)."""
+    """points, normals (N, 3) in the world; owner (N,): 0 the table, else 1 + the box."""
 
     points: np.ndarray
     owner: np.ndarray

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-
 from megrasp_core.pointcloud import PlaneSettings, support_plane, voxel_means
+from scipy.spatial.transform import Rotation
 
 DOWN = np.array([0.0, 0.0, -1.0])
 

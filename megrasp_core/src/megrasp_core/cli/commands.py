@@ -6,6 +6,7 @@ from tyro.extras import SubcommandApp
 
 from .data import grasps, pack, scenes, stats, verify
 from .demo import demo
+from .evaluation import bench, evaluation, samples
 from .gripper import check, listed, render, show
 from .objects import generate
 from .synthesize import synthesize
@@ -22,9 +23,13 @@ def app() -> SubcommandApp:
     grippers = _group(list=listed, show=show, check=check, render=render)
     root.command(grippers, name="gripper", help="List, show, check and draw grippers.")
     root.command(_group(generate=generate), name="objects", help="Make objects to grasp.")
-    data = _group(grasps=grasps, scenes=scenes, pack=pack, stats=stats, verify=verify)
+    data = _group(
+        grasps=grasps, scenes=scenes, pack=pack, stats=stats, verify=verify, samples=samples
+    )
     root.command(data, name="data", help="Make, pack and check training data.")
     root.command(train)
+    root.command(evaluation, name="eval")
+    root.command(bench)
     return root
 
 

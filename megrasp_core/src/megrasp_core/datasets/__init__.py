@@ -1,4 +1,6 @@
-"""Training data: candidates, free-space labels, scenes, storage and where the work runs (DESIGN section 5)."""
+"""Training data: candidates, free-space labels, scenes, storage and where the work runs (DESIGN
+section 5).
+"""
 
 from megrasp_core.datasets.candidates import (
     Candidates,
@@ -32,6 +34,7 @@ from megrasp_core.datasets.object_set import (
     procedural_names,
     training_objects,
 )
+from megrasp_core.datasets.pictures import scene_picture
 from megrasp_core.datasets.recipes import read_recipes, with_cloud, write_recipes
 from megrasp_core.datasets.records import GraspSet, GripperLabels, Kind, SceneRecord
 from megrasp_core.datasets.scenes import SceneJob, build_scene, generate_scenes
@@ -71,6 +74,7 @@ __all__ = [
     "read_recipes",
     "record_problems",
     "run_units",
+    "scene_picture",
     "scene_stats",
     "training_objects",
     "verify_dataset",

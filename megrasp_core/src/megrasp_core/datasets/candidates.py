@@ -1,7 +1,9 @@
-"""Antipodal grasp candidates on an object (DESIGN section 5; the paper's single sampling strategy).
+"""Antipodal grasp candidates on an object (DESIGN section 5; the paper's single sampling
+strategy).
 
-Two surface points with opposing normals give the closing axis; the approach is drawn around it and the depth along it.
-Hands and three-finger grippers use the same pairs: their opposing finger groups close along the same axis.
+Two surface points with opposing normals give the closing axis; the approach is drawn around it and
+the depth along it. Hands and three-finger grippers use the same pairs: their opposing finger
+groups close along the same axis.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ class CandidateSettings:
         axis_noise: standard deviation of the axis about the first point's normal (rad).
         width_margin: free width left between open fingers and pair (m).
         least_width: a pair must be this much wider than `min_width` (m).
-        depth: range of the TCP's position past the pair along the approach (m); positive is deeper.
+        depth: range of the TCP's position past the pair along the approach (m); positive is
+            deeper.
         shift: largest offset of the TCP from the pair's middle along the closing axis (m).
     """
 
@@ -67,7 +70,7 @@ class Pairs:
 
 
 class ObjectSurface:
-    """Area-uniform points and through-rays on an object's visual mesh; build it once per object."""
+    """Even points and through-rays on an object's visual mesh; build it once per object."""
 
     def __init__(self, model: ObjectModel) -> None:
         self.vertices = np.ascontiguousarray(model.vertices, np.float64)
@@ -80,8 +83,8 @@ class ObjectSurface:
         self._corners = corners
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
         self._scene.add_triangles(
-            o3d.core.Tensor(self.vertices.astype(np.float32)),
-            o3d.core.Tensor(self.faces.astype(np.uint32)),
+            o3d.core.Tensor.from_numpy(np.asarray(self.vertices, dtype=np.float32)),
+            o3d.core.Tensor.from_numpy(np.asarray(self.faces, dtype=np.uint32)),
         )
 
     def sample(
@@ -103,9 +106,11 @@ class ObjectSurface:
     def crossings(
         self, origins: NDArray[np.float64], directions: NDArray[np.float64]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-        """Every crossing of the rays with the mesh: ray index (k,), distance (k,), face normal (k, 3)."""
-        rays = o3d.core.Tensor(np.hstack([origins, directions]).astype(np.float32))
-        hits = self._scene.list_intersections(rays, nthreads=1)
+        """Every crossing of the rays with the mesh: ray index (k,), distance (k,), face normal (k,
+        3).
+        """
+        rays = np.hstack([origins, directions]).astype(np.float32)
+        hits = self._scene.list_intersections(o3d.core.Tensor.from_numpy(rays), nthreads=1)
         return (
             hits["ray_ids"].numpy().astype(np.int64),
             hits["t_hit"].numpy().astype(np.float64),
@@ -135,7 +140,8 @@ def opposing_pairs(
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     cosine = np.cos(settings.friction_cone)
     ray, distance, exit_normal = surface.crossings(first, directions)
-    # A through-ray leaves through a face that looks along it; several walls give several such faces.
+    # A through-ray leaves through a face that looks along it; several walls give several such
+    # faces.
     good = (
         (np.einsum("ij,ij->i", exit_normal, directions[ray]) >= cosine)
         & (distance >= widths[0])
@@ -181,8 +187,9 @@ def antipodal(
         rng: source of randomness.
         settings: cone, depth and margins.
         surface: the object's `ObjectSurface`, where one exists already.
-        approach_towards: (unit vector (3,) in the object frame, largest angle): keeps approaches within that angle of
-            the vector, for example of gravity; None draws evenly around the closing axis.
+        approach_towards: (unit vector (3,) in the object frame, largest angle): keeps approaches
+            within that angle of the vector, for example of gravity; None draws evenly around the
+            closing axis.
 
     Returns:
         Candidates with `object_from_gripper`; both senses of every closing axis occur.
@@ -223,7 +230,8 @@ def _approaches(
     allowed = np.ones(len(axis), bool)
     if towards is not None:
         direction, limit = np.asarray(towards[0], np.float64), float(towards[1])
-        # Tilts are drawn about the direction itself, since even draws around the axis would mostly be refused.
+        # Tilts are drawn about the direction itself, since even draws around the axis would mostly
+        # be refused.
         spread = np.tan(min(limit, 1.4)) * rng.random((len(axis), 1))
         drawn /= np.maximum(np.linalg.norm(drawn, axis=1, keepdims=True), 1e-12)
         drawn = direction + spread * drawn

@@ -1,7 +1,8 @@
-"""Runs independent units of work: here, in a pool of processes, or over a Ray cluster (DESIGN section 5).
+"""Runs independent units of work: here, in a pool of processes, or over a Ray cluster (DESIGN
+section 5).
 
-Results come back to the calling process, which alone writes files; a worker that dies costs the unit it held, and that
-unit is tried again.
+Results come back to the calling process, which alone writes files; a worker that dies costs the
+unit it held, and that unit is tried again.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import logging
 import multiprocessing
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -73,8 +74,8 @@ def run_units(
 ) -> RunSummary:
     """Calls `function(unit)` for every unit and hands each result to `on_result` in this process.
 
-    An exception of `function` marks the unit as failed and the run goes on. Ctrl-C stops the run between results;
-    what was handed over stays, and the summary says `cancelled`.
+    An exception of `function` marks the unit as failed and the run goes on. Ctrl-C stops the run
+    between results; what was handed over stays, and the summary says `cancelled`.
 
     Args:
         function: picklable where more than one process is used.
@@ -134,7 +135,7 @@ def _describe(error: BaseException) -> str:
 
 def _serial(
     function: Callable[[U], R], units: Sequence[U], config: ExecutorConfig
-) -> Iterator[_Outcome]:
+) -> Generator[_Outcome, None, None]:
     del config
     for unit in units:
         try:
@@ -147,7 +148,7 @@ def _serial(
 
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """Children inherit the environment when they start: one thread each, whatever the caller has."""
+    """Children inherit the environment at their start: one thread each whatever we have."""
     before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
     try:
@@ -162,8 +163,10 @@ def _one_thread_each() -> Iterator[None]:
 
 def _pool(
     function: Callable[[U], R], units: Sequence[U], config: ExecutorConfig
-) -> Iterator[_Outcome]:
-    """Spawned processes. When one is killed the pool breaks: it is built again and what was in flight is repeated."""
+) -> Generator[_Outcome, None, None]:
+    """Spawned processes. When one is killed the pool breaks: it is built again and what was in
+    flight is repeated.
+    """
     queue = [(unit, 1) for unit in reversed(units)]
     with _one_thread_each():
         while queue:
@@ -193,7 +196,8 @@ def _pool(
                             yield unit, None, _describe(error)
                         else:
                             yield unit, future.result(), None
-                # Which of the units in flight killed its process is not known: each is tried again.
+                # Which of the units in flight killed its process is not known: each is tried
+                # again.
                 for unit, attempt in flight.values():
                     if attempt < config.attempts:
                         queue.append((unit, attempt + 1))
@@ -205,7 +209,9 @@ def _pool(
 
 
 def _shut_down(pool: ProcessPoolExecutor, *, wait_for_units: bool) -> None:
-    """Ends the pool; without waiting, its own processes are ended at once (Ctrl-C, a caller that left)."""
+    """Ends the pool; without waiting, its own processes are ended at once (Ctrl-C, a caller that
+    left).
+    """
     processes = list((getattr(pool, "_processes", None) or {}).values())
     pool.shutdown(wait=wait_for_units, cancel_futures=True)
     if not wait_for_units:
@@ -215,12 +221,13 @@ def _shut_down(pool: ProcessPoolExecutor, *, wait_for_units: bool) -> None:
 
 def _ray(
     function: Callable[[U], R], units: Sequence[U], config: ExecutorConfig
-) -> Iterator[_Outcome]:
+) -> Generator[_Outcome, None, None]:
     try:
         import ray  # type: ignore[import-not-found]
     except ImportError as error:
         raise DataError(
-            "the executor 'ray' was given, but the package ray is not installed; expected an installed ray. "
+            "the executor 'ray' was given, but the package ray is not installed; expected an "
+            "installed ray. "
             "Run `pip install ray`, or use --executor local."
         ) from error
     owned = not ray.is_initialized()
@@ -231,9 +238,9 @@ def _ray(
             ray.init(address=config.address, log_to_driver=False)
     try:
         environment = {"env_vars": dict.fromkeys(_THREAD_VARIABLES, "1")}
-        remote = ray.remote(
-            num_cpus=1, max_retries=config.attempts - 1, runtime_env=environment
-        )(function)
+        remote = ray.remote(num_cpus=1, max_retries=config.attempts - 1, runtime_env=environment)(
+            function
+        )
         queue = list(reversed(units))
         flight: dict[Any, U] = {}
         while queue or flight:

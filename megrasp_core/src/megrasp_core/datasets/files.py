@@ -43,8 +43,8 @@ def open_npz(path: Path) -> np.lib.npyio.NpzFile:
         ) from None
     except (zipfile.BadZipFile, ValueError, OSError, EOFError) as error:
         raise DataError(
-            f"{path} is damaged ({error}); expected an .npz of a data set. Delete it and run the generator again: "
-            "it makes only what is missing."
+            f"{path} is damaged ({error}); expected an .npz of a data set. Delete it and run the "
+            "generator again: it makes only what is missing."
         ) from error
 
 
@@ -65,7 +65,8 @@ def read_json(path: Path) -> Any:
         raise DataError(f"no file {path}; expected a data set folder. Check the path.") from None
     except (ValueError, UnicodeDecodeError) as error:
         raise DataError(
-            f"{path} is no JSON ({error}); expected a manifest written by the generator. Restore the file."
+            f"{path} is no JSON ({error}); expected a manifest written by the generator. Restore "
+            "the file."
         ) from error
 
 

@@ -1,4 +1,6 @@
-"""Counts and checks of a data set on disk: what `megrasp data stats` and `megrasp data verify` report."""
+"""Counts and checks of a data set on disk: what `megrasp data stats` and `megrasp data verify`
+report.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,10 @@ def scene_stats(
     """Counts of a scene data set.
 
     Returns:
-        scenes, in_bin, mean_objects, mean_points, and per gripper: grasps by kind and label, the success rate of
-        the judged library grasps, the reasons of failure, the share of scenes with any success, and successes per
-        scene.
+        scenes, in_bin, mean_objects, mean_points, and per gripper: grasps by kind and label, the
+            success rate of
+        the judged library grasps, the reasons of failure, the share of scenes with any success,
+        and successes per scene.
     """
     dataset = SceneDataset(folder)
     grippers: dict[str, dict[str, Any]] = {}
@@ -34,13 +37,16 @@ def scene_stats(
         bins += record.bin_inner is not None
         for name, labels in record.labels.items():
             entry = grippers.setdefault(
-                name, {"count": Counter(), "reasons": Counter(), "scenes": 0, "any": 0, "success": 0}
+                name,
+                {"count": Counter(), "reasons": Counter(), "scenes": 0, "any": 0, "success": 0},
             )
             entry["scenes"] += 1
             entry["any"] += bool((labels.label == 1).any())
             entry["success"] += int((labels.label == 1).sum())
             for kind, label in zip(labels.kind, labels.label):
-                entry["count"][f"{Kind(int(kind)).name.lower()}_{'success' if label else 'failure'}"] += 1
+                entry["count"][
+                    f"{Kind(int(kind)).name.lower()}_{'success' if label else 'failure'}"
+                ] += 1
             judged = (labels.kind == Kind.JUDGED) & (labels.label == 0)
             entry["reasons"].update(str(reason) for reason in labels.reason[judged])
         if on_progress is not None:
@@ -67,7 +73,9 @@ def _summary(entry: dict[str, Any]) -> dict[str, Any]:
 
 
 def library_stats(library: GraspLibrary) -> dict[str, Any]:
-    """Counts of a grasp library per gripper: objects, objects with any success, successes, trials, drawn."""
+    """Counts of a grasp library per gripper: objects, objects with any success, successes, trials,
+    drawn.
+    """
     result: dict[str, Any] = {}
     for name in library.grippers:
         sets = [entry for entry in library if entry.gripper == name]
@@ -86,7 +94,9 @@ def library_stats(library: GraspLibrary) -> dict[str, Any]:
 def verify_dataset(
     folder: str | Path, on_progress: Callable[[int, int], None] | None = None
 ) -> list[str]:
-    """Reads every record of a data set and returns what is wrong, one line each; empty when all is well."""
+    """Reads every record of a data set and returns what is wrong, one line each; empty when all is
+    well.
+    """
     dataset = SceneDataset(folder)
     problems: list[str] = []
     known = {str(name) for name in dataset.manifests[0].get("grippers", {})}
@@ -112,7 +122,9 @@ def record_problems(record: SceneRecord, grippers: set[str] | None = None) -> li
         problems.append("some points are not finite")
     if record.normals.shape != record.points.shape or record.on_plane.shape != (count,):
         problems.append("normals or plane flags do not match the points")
-    elif np.abs(np.linalg.norm(record.normals.astype(np.float32) / 127.0, axis=1) - 1).max() > 0.02:
+    elif (
+        np.abs(np.linalg.norm(record.normals.astype(np.float32) / 127.0, axis=1) - 1).max() > 0.02
+    ):
         problems.append("some normals are not of unit length")
     if record.object_poses.shape != (objects, 7) or record.obstacle.shape != (objects,):
         problems.append("object poses or obstacle flags do not match the object names")

@@ -1,4 +1,6 @@
-"""Labels grasp candidates of single objects in the free-space trial and fills a library folder (DESIGN section 5)."""
+"""Labels grasp candidates of single objects in the free-space trial and fills a library folder
+(DESIGN section 5).
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,8 @@ class LabelSettings:
         count: candidates drawn at most, start collisions included.
         trials: full trials at most.
         target: successes after which the pair is done.
-        failures: failed full trials kept for each success kept; at least four are kept where there are any.
+        failures: failed full trials kept for each success kept; at least four are kept where there
+            are any.
         hopeless: full trials without any success after which the pair is given up.
         candidates: how candidates are drawn.
     """
@@ -68,7 +71,9 @@ def label_object(
     """
     settings = settings or LabelSettings()
     name = object_name or model.name
-    rng = np.random.default_rng([seed, zlib.crc32(gripper.name.encode()), zlib.crc32(name.encode())])
+    rng = np.random.default_rng(
+        [seed, zlib.crc32(gripper.name.encode()), zlib.crc32(name.encode())]
+    )
     candidates = antipodal(
         model, gripper, count, rng, settings=settings.candidates, surface=ObjectSurface(model)
     )
@@ -148,14 +153,15 @@ def generate_library(
     names: Sequence[str] | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> RunSummary:
-    """Labels every pair whose file is missing in `folder`, all grippers of an object before the next object.
+    """Labels every pair whose file is missing in `folder`, all grippers of an object before the
+    next object.
 
     Args:
         folder: library folder; an existing one is continued.
         config: grippers, objects, seed, effort.
         executor: where to run.
-        names: the objects to label, in this order; default all of the set, shuffled by the seed, so that any part of
-            the work is a fair sample of the objects.
+        names: the objects to label, in this order; default all of the set, shuffled by the seed,
+            so that any part of the work is a fair sample of the objects.
         on_progress: called after every pair.
     """
     folder = Path(folder)
@@ -169,10 +175,14 @@ def generate_library(
         for gripper in config.grippers
         if not pair_file(folder, gripper_names[gripper], name).exists()
     ]
+
+    def keep(_: tuple[str, str], entry: GraspSet) -> None:
+        write_grasp_set(folder, entry)
+
     return run_units(
         functools.partial(_label_pair, config=config),
         units,
         executor,
-        on_result=lambda unit, entry: write_grasp_set(folder, entry),
+        on_result=keep,
         on_progress=on_progress,
     )

@@ -1,4 +1,6 @@
-"""What lies where in a training scene: draws bin or table, objects and obstacles from a seed and lets them settle."""
+"""What lies where in a training scene: draws bin or table, objects and obstacles from a seed and
+lets them settle.
+"""
 
 from __future__ import annotations
 
@@ -30,17 +32,23 @@ class SceneConfig:
         bin_inner: mean inner size of the bin; each edge is drawn within +-`bin_spread`.
         table_region: size of the region of interest on a table.
         obstacle_share: share of scenes with one or two obstacles.
-        camera_height, camera_shift, camera_tilt: camera over the origin, and how far its pose varies.
+        camera_height, camera_shift, camera_tilt: camera over the origin, and how far its pose
+            varies.
         image: width and height in pixels.
-        ring_share: share of table scenes that ten cameras around see, as in the paper's dense clouds.
+        ring_share: share of table scenes that ten cameras around see, as in the paper's dense
+            clouds.
         surface: preprocessing, the same as at inference.
         tilt_bin, tilt_table: steepest approach against straight down that is kept.
         approach: length of the approach path that must be free in bins.
-        tested_per_object: library grasps of an object tested for collision, each with its symmetric copies.
-        fresh: new candidates drawn for each object, with approaches within `fresh_tilt` of straight down.
+        tested_per_object: library grasps of an object tested for collision, each with its
+            symmetric copies.
+        fresh: new candidates drawn for each object, with approaches within `fresh_tilt` of
+            straight down; again for objects that have fewer than `free_wanted` free grasps,
+            `fresh_rounds` rounds in all.
         kept_per_object: free grasps kept of an object.
-        judged: free grasps tried in the heap, a gripper and scene; free ones of the library that are not tried are
-            kept unverified, fresh ones are not kept.
+        judged: free grasps tried in the heap, a gripper and scene.
+        closed: library grasps beyond those on which the fingers are closed only; those that touch
+            an object then are kept as unverified successes. Other free grasps are not kept.
         perturbed: perturbed grasps tried in the heap, a gripper and scene.
         colliding: colliding grasps kept as negatives, a gripper and scene.
         sleep: let objects at rest sleep in trials, which halves their time.
@@ -64,10 +72,13 @@ class SceneConfig:
     tilt_table: float = np.deg2rad(95.0)
     approach: float = 0.10
     tested_per_object: int = 80
-    fresh: int = 40
+    fresh: int = 60
+    fresh_rounds: int = 6
+    free_wanted: int = 6
     fresh_tilt: float = np.deg2rad(50.0)
     kept_per_object: int = 24
     judged: int = 8
+    closed: int = 4
     perturbed: int = 2
     colliding: int = 32
     sleep: bool = True
@@ -117,8 +128,8 @@ def draw_layout(
 ) -> Layout:
     """Draws and settles the scene of a seed.
 
-    Objects that roll out of the bin are left out. A heap that does not come to rest is drawn again with two objects
-    less, since a full bin is the usual reason.
+    Objects that roll out of the bin are left out. A heap that does not come to rest is drawn again
+    with two objects less, since a full bin is the usual reason.
 
     Raises:
         SimulationError: no heap came to rest.
@@ -147,6 +158,6 @@ def draw_layout(
                 region_of(bin, config),
             )
     raise SimulationError(
-        f"the scene of seed {seed} did not come to rest in {attempts} attempts; expected a settled heap. Use "
-        "another seed or fewer objects."
+        f"the scene of seed {seed} did not come to rest in {attempts} attempts; expected a "
+        "settled heap. Use another seed or fewer objects."
     )

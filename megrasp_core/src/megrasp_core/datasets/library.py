@@ -1,7 +1,8 @@
-"""The grasp library: free-space labels for every (gripper, object), resumable, and packed into one small file.
+"""The grasp library: free-space labels for every (gripper, object), resumable, and packed into one
+small file.
 
-While running, one file a pair lies in `<folder>/<gripper>/`; `pack_library` gathers them with poses rounded to
-0.01 mm and 0.003 degrees.
+While running, one file a pair lies in `<folder>/<gripper>/`; `pack_library` gathers them with
+poses rounded to 0.01 mm and 0.003 degrees.
 """
 
 from __future__ import annotations
@@ -50,7 +51,9 @@ class GraspLibrary:
         return sorted({gripper for gripper, _ in self._sets})
 
     def objects(self, grippers: Iterable[str] | None = None) -> list[str]:
-        """Names of the objects labelled for all of `grippers` (default: all in the library), sorted."""
+        """Names of the objects labelled for all of `grippers` (default: all in the library),
+        sorted.
+        """
         wanted = self.grippers if grippers is None else list(grippers)
         names = {name for _, name in self._sets}
         return sorted(
@@ -81,8 +84,8 @@ def pack_library(library: GraspLibrary, path: Path, *, limit: int = 15_000_000) 
     if size > limit:
         path.unlink()
         raise DataError(
-            f"the packed library has {size} bytes; expected at most {limit}. Pack fewer objects or lower the number "
-            "of grasps kept a pair."
+            f"the packed library has {size} bytes; expected at most {limit}. Pack fewer objects "
+            "or lower the number of grasps kept a pair."
         )
     return size
 
@@ -97,7 +100,8 @@ def load_library(path: str | Path) -> GraspLibrary:
     files = sorted(path.rglob("*.npz")) if path.is_dir() else [path]
     if not files:
         raise DataError(
-            f"{path} holds no .npz; expected a grasp library. Make one with `megrasp data grasps --out {path}`."
+            f"{path} holds no .npz; expected a grasp library. Make one with `megrasp data grasps "
+            f"--out {path}`."
         )
     return GraspLibrary(entry for file in files for entry in _read(file))
 
@@ -116,7 +120,8 @@ def _arrays(sets: list[GraspSet]) -> dict[str, np.ndarray]:
     poses = np.concatenate([e.object_from_tcp for e in sets] or [np.zeros((0, 7))])
     if len(poses) and np.abs(poses[:, :3]).max() > 32767 * _METRE:
         raise DataError(
-            "a grasp lies more than 0.32 m from its object's centre; expected graspable objects. Leave larger "
+            "a grasp lies more than 0.32 m from its object's centre; expected graspable objects. "
+            "Leave larger "
             "objects out of the library."
         )
     return {
@@ -138,7 +143,8 @@ def _read(path: Path) -> Iterator[GraspSet]:
             success, reason = file["success"], file["reason"]
         except (KeyError, ValueError) as error:
             raise DataError(
-                f"{path} is no grasp library ({error}); expected a file of `megrasp data grasps` or `pack`."
+                f"{path} is no grasp library ({error}); expected a file of `megrasp data grasps` "
+                "or `pack`."
             ) from error
     if meta.get("format") != _PACKED:
         raise DataError(f"{path} has format {meta.get('format')!r}; expected {_PACKED!r}.")
@@ -150,7 +156,14 @@ def _read(path: Path) -> Iterator[GraspSet]:
     for gripper, digest, object_name, drawn, tried, count in meta["sets"]:
         part = slice(start, start + count)
         yield GraspSet(
-            gripper, digest, object_name, poses[part], success[part], names[reason[part]], drawn, tried
+            gripper,
+            digest,
+            object_name,
+            poses[part],
+            success[part],
+            names[reason[part]],
+            drawn,
+            tried,
         )
         start += count
 

@@ -1,8 +1,9 @@
-"""Objects by name, so that a few bytes in a record bring a model back: real scans and procedural ones.
+"""Objects by name, so that a few bytes in a record bring a model back: real scans and procedural
+ones.
 
-    asset/train/ycb/021_bleach_cleanser    folder below MEGRASP_ASSETS/objects
-    procedural/000017                      `procedural_object(17)`
-    obstacle/000017                        `procedural_object(17, obstacle=True)`
+asset/train/ycb/021_bleach_cleanser    folder below MEGRASP_ASSETS/objects
+procedural/000017                      `procedural_object(17)`
+obstacle/000017                        `procedural_object(17, obstacle=True)`
 """
 
 from __future__ import annotations
@@ -61,13 +62,13 @@ class ObjectSet:
             root = self._assets or os.environ.get("MEGRASP_ASSETS")
             if root is None:
                 raise ObjectError(
-                    f"object {name} needs the asset folder; expected the environment variable MEGRASP_ASSETS to name "
-                    "it. Set it, or use procedural objects alone."
+                    f"object {name} needs the asset folder; expected the environment variable "
+                    "MEGRASP_ASSETS to name it. Set it, or use procedural objects alone."
                 )
             return load_object(Path(root) / "objects" / name[len(_ASSET) :], name)
         raise ObjectError(
-            f"unknown object {name!r}; expected asset/<split>/<set>/<name>, procedural/<number> or "
-            "obstacle/<number>."
+            f"unknown object {name!r}; expected asset/<split>/<set>/<name>, procedural/<number> "
+            "or obstacle/<number>."
         )
 
 
@@ -82,7 +83,9 @@ def procedural_names(count: int, start: int = 0) -> list[str]:
 
 
 def asset_names(split: str) -> list[str]:
-    """Names of the assets of a split ("train", "validation", "devtest"), sorted; empty without MEGRASP_ASSETS."""
+    """Names of the assets of a split ("train", "validation", "devtest"), sorted; empty without
+    MEGRASP_ASSETS.
+    """
     root = os.environ.get("MEGRASP_ASSETS")
     if root is None:
         return []
@@ -94,5 +97,7 @@ def asset_names(split: str) -> list[str]:
 
 
 def training_objects(procedural: int = 60, *, assets: bool = True) -> ObjectSet:
-    """Train scans (where MEGRASP_ASSETS is set; the validation tenth is not among them) and procedural objects."""
+    """Train scans (where MEGRASP_ASSETS is set; the validation tenth is not among them) and
+    procedural objects.
+    """
     return ObjectSet([*(asset_names("train") if assets else []), *procedural_names(procedural)])

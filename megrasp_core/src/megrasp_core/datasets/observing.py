@@ -1,4 +1,6 @@
-"""What the camera sees of a scene: the same noise and preprocessing as at inference (DESIGN sections 5 and 6)."""
+"""What the camera sees of a scene: the same noise and preprocessing as at inference (DESIGN
+sections 5 and 6).
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ from megrasp_core.simulation import (
 
 
 def scene_cameras(seed: int, config: SceneConfig, *, in_bin: bool) -> list[Camera]:
-    """The top-down camera of a scene, a little moved and tilted, or for some tables ten cameras around."""
+    """The top-down camera of a scene, a little moved and tilted, or for some tables ten cameras
+    around.
+    """
     rng = stream(seed, CAMERA)
     if not in_bin and rng.random() < config.ring_share:
         return ring_cameras()
@@ -38,7 +42,8 @@ def scene_cameras(seed: int, config: SceneConfig, *, in_bin: bool) -> list[Camer
 def scene_surface(
     layout: Layout, seed: int, config: SceneConfig, objects: ObjectSet
 ) -> SurfaceCloud:
-    """Renders the scene of a layout with the camera and the noise of its seed and preprocesses the cloud.
+    """Renders the scene of a layout with the camera and the noise of its seed and preprocesses the
+    cloud.
 
     Raises:
         EmptyRegionError: nothing of the region was seen.

@@ -1,7 +1,8 @@
-"""Scene recipes: everything of a scene but its cloud, small enough to be committed; the cloud is rendered again.
+"""Scene recipes: everything of a scene but its cloud, small enough to be committed; the cloud is
+rendered again.
 
-Poses of objects are kept exactly (float32), since the cloud depends on them; grasps are rounded to 0.02 mm and
-0.003 degrees.
+Poses of objects are kept exactly (float32), since the cloud depends on them; grasps are rounded to
+0.02 mm and 0.003 degrees.
 """
 
 from __future__ import annotations
@@ -52,7 +53,8 @@ def write_recipes(path: str | Path, records: Iterable[SceneRecord]) -> int:
     position = np.rint(grasp[:, :3] / _METRE)
     if len(grasp) and np.abs(position).max() > 32767:
         raise DataError(
-            "a grasp lies more than 0.65 m from the origin; expected scenes on or around the origin. Leave that "
+            "a grasp lies more than 0.65 m from the origin; expected scenes on or around the "
+            "origin. Leave that "
             "scene out."
         )
     write_npz(
@@ -88,7 +90,9 @@ def read_recipes(path: str | Path) -> list[SceneRecord]:
                 [arrays["position"] * _METRE, arrays["quaternion"] / _QUATERNION]
             ).astype(np.float32)
         except (KeyError, ValueError) as error:
-            raise DataError(f"{path} holds no scene recipes ({error}). Give a recipe file.") from error
+            raise DataError(
+                f"{path} holds no scene recipes ({error}). Give a recipe file."
+            ) from error
     if meta.get("format") != _FORMAT:
         raise DataError(f"{path} has format {meta.get('format')!r}; expected {_FORMAT!r}.")
     norm = np.linalg.norm(grasp[:, 3:], axis=1, keepdims=True)
@@ -130,7 +134,9 @@ def read_recipes(path: str | Path) -> list[SceneRecord]:
 
 
 def with_cloud(recipe: SceneRecord, config: SceneConfig, objects: ObjectSet) -> SceneRecord:
-    """The record of a recipe, its cloud rendered from the seed; equal to the original's with the same config."""
+    """The record of a recipe, its cloud rendered from the seed; equal to the original's with the
+    same config.
+    """
     bin = None if recipe.bin_inner is None else Bin(recipe.bin_inner)
     layout = Layout(
         recipe.object_names, recipe.obstacle, recipe.object_poses, bin, region_of(bin, config)

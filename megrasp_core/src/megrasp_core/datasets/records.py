@@ -1,7 +1,7 @@
 """The records that the generator makes: labels of one object, labels of one scene.
 
-Poses are `world_from_tcp` (or `object_from_tcp`) as seven numbers [x, y, z, qx, qy, qz, qw], metres; the TCP frame has
-+Z as approach and +X as closing axis (DESIGN section 2).
+Poses are `world_from_tcp` (or `object_from_tcp`) as seven numbers [x, y, z, qx, qy, qz, qw],
+metres; the TCP frame has +Z as approach and +X as closing axis (DESIGN section 2).
 """
 
 from __future__ import annotations

@@ -1,52 +1,25 @@
-"""Labels of one gripper in a settled scene: library grasps taken in, collisions, trials in the heap (DESIGN section 5)."""
+"""Labels of one gripper in a settled scene: which free grasps hold when tried in the heap (DESIGN
+section 5).
+"""
 
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from megrasp_core.datasets.candidates import antipodal
-from megrasp_core.datasets.layout import GRAVITY, LABELS, Layout, SceneConfig, stream
+from megrasp_core.datasets.layout import LABELS, Layout, SceneConfig, stream
 from megrasp_core.datasets.library import GraspLibrary
 from megrasp_core.datasets.object_set import ObjectSet
 from megrasp_core.datasets.records import GripperLabels, Kind
+from megrasp_core.datasets.scene_grasps import Poses, SceneGrasps, SceneProposer
 from megrasp_core.grippers import Gripper
 from megrasp_core.lie.pose import matrix_from_pose7, pose7_from_matrix
-from megrasp_core.pointcloud import grown_region
-from megrasp_core.simulation import World, approach_path, build_world, judge, start_depths
-
-MAX_DEPTH = 0.001
-"""Deepest penetration that still counts as free (m), as in the verdict."""
-
-_Poses = NDArray[np.float64]
-
-
-@dataclass
-class _Tested:
-    """Grasps of a scene after the collision test: `world_from_tcp` (n, 4, 4) and one row each below.
-
-    Symmetric copies of one grasp share their `group`: they are tested for collision one by one and tried once.
-    """
-
-    pose: _Poses
-    object: NDArray[np.int64]
-    reason: NDArray[np.str_]
-    library: NDArray[np.bool_]
-    group: NDArray[np.int64]
-
-    def part(self, index: NDArray[np.integer] | NDArray[np.bool_]) -> _Tested:
-        return _Tested(
-            self.pose[index],
-            self.object[index],
-            self.reason[index],
-            self.library[index],
-            self.group[index],
-        )
+from megrasp_core.simulation import Reason, TrialSettings, judge
+from megrasp_core.simulation.motion import advance, closing
 
 
 class SceneLabeller:
@@ -70,89 +43,130 @@ class SceneLabeller:
         seed: int,
         config: SceneConfig,
     ) -> None:
-        self._layout, self._gripper, self._library = layout, gripper, library
-        self._objects, self._config = objects, config
+        self._config = config
         self._rng = stream(seed, LABELS, zlib.crc32(gripper.name.encode()))
-        models = [objects[name] for name in layout.object_names]
-        self._obstacles = set(np.flatnonzero(layout.obstacle).tolist())
-        self._graspable = [i for i in range(len(models)) if i not in self._obstacles]
-        self._world: World = build_world(
-            models,
-            gripper=gripper,
-            bin=layout.bin,
-            obstacles=self._obstacles,
-            object_poses=layout.matrices,
-            visual=False,
-        )
-        if config.sleep:
-            self._world.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
+        self._proposer = SceneProposer(layout, gripper, library, objects, config)
+        self._world = self._proposer.world
         self._start = self._world.save()
-        self._groups = 0
-        self._tcp_from_gripper = np.linalg.inv(gripper.gripper_from_tcp)
 
     def labels(self) -> GripperLabels:
         """All labels of the gripper in the scene."""
-        config = self._config
-        tested = _joined(
-            [self._tested(self._library_poses()), self._tested(self._fresh_poses())]
-        )
+        config, proposer = self._config, self._proposer
+        tested = proposer.proposals(self._rng)
         free = self._capped(tested.part(tested.reason == ""))
         _, first = np.unique(free.group, return_index=True)
-        trials = first[self._balanced(free.object[first])][: config.judged]
+        order = first[self._balanced(free.object[first])]
+        trials = order[: config.judged]
         judged = self._judged(free.part(trials), Kind.JUDGED)
-        rest = free.part(free.library & ~np.isin(free.group, free.group[trials]))
-        positives = judged.label == 1
+        rest = order[config.judged :]
+        rest = rest[free.library[rest]][: config.closed]
+        rest = rest[self._closing_reasons(free.pose[rest]) == ""]
+        rest = free.part(np.isin(free.group, free.group[rest]))
+        held = judged.label == 1
         colliding = tested.part(tested.reason != "")
         colliding = colliding.part(self._balanced(colliding.object)[: config.colliding])
         return GripperLabels.joined(
             [
                 judged,
                 _inherited(free, trials, judged),
-                _labels(rest.pose, rest.object, 1, Kind.LIBRARY, np.full(len(rest.object), "")),
+                _labels(rest.pose, rest.object, 1, Kind.LIBRARY, rest.reason),
                 self._perturbed(
-                    np.asarray(matrix_from_pose7(judged.world_from_tcp[positives])),
-                    judged.object[positives],
+                    np.asarray(matrix_from_pose7(judged.world_from_tcp[held])),
+                    judged.object[held],
                 ),
                 _labels(colliding.pose, colliding.object, 0, Kind.COLLISION, colliding.reason),
             ]
         )
 
-    def _library_poses(self) -> _Tested:
-        """Successful library grasps of every graspable object with their symmetric copies, steep ones dropped."""
-        poses: list[_Poses] = []
-        owners: list[int] = []
-        for index in self._graspable:
-            entry = self._library.get(self._gripper.name, self._layout.object_names[index])
-            if entry is None or not entry.success.any():
-                continue
-            object_from_tcp = np.asarray(matrix_from_pose7(entry.successes))
-            chosen = self._rng.permutation(len(object_from_tcp))[: self._config.tested_per_object]
-            poses.append(self._layout.matrices[index] @ object_from_tcp[chosen])
-            owners.append(index)
-        return self._untested(poses, owners, library=True)
+    def _closing_reasons(self, world_from_tcp: Poses) -> NDArray[np.str_]:
+        """(n,) "" where closing touches a graspable object, else the verdict's reason.
 
-    def _fresh_poses(self) -> _Tested:
-        """New steep candidates on every graspable object: few library grasps are within reach in a heap."""
-        poses: list[_Poses] = []
-        owners: list[int] = []
-        for index in self._graspable if self._config.fresh else []:
-            world_from_object = self._layout.matrices[index]
-            down = world_from_object[:3, :3].T @ np.array(GRAVITY)
-            candidates = antipodal(
-                self._objects[self._layout.object_names[index]],
-                self._gripper,
-                self._config.fresh,
-                self._rng,
-                settings=self._config.candidates,
-                approach_towards=(down, min(self._tilt_limit, self._config.fresh_tilt)),
+        Fingers that swing forward jam on the floor, which no test of the open posture sees. This
+        is the first part of the verdict: most grasps that fail it fail here.
+        """
+        settings = TrialSettings()
+        motion = closing(self._world, settings.close_time, settings.close_ramp)
+        reason = np.full(len(world_from_tcp), "", dtype="<U20")
+        for index, pose in enumerate(world_from_tcp):
+            self._reset()
+            self._world.place_gripper(pose @ self._proposer.tcp_from_gripper)
+            advance(self._world, motion)
+            touched, _ = self._world.touched()
+            if self._world.unstable():
+                reason[index] = Reason.UNSTABLE.value
+            elif not touched & set(self._proposer.graspable):
+                obstacle = bool(touched & self._world.obstacles)
+                reason[index] = (Reason.OBSTACLE if obstacle else Reason.NO_CONTACT).value
+        self._reset()
+        return reason
+
+    def _capped(self, free: SceneGrasps) -> SceneGrasps:
+        """At most `kept_per_object` grasps of an object, whatever they come from."""
+        keep = [
+            self._rng.permutation(np.flatnonzero(free.object == index))[
+                : self._config.kept_per_object
+            ]
+            for index in self._proposer.graspable
+        ]
+        return free.part(np.concatenate([np.zeros(0, np.int64), *keep]))
+
+    def _balanced(self, owners: NDArray[np.integer]) -> NDArray[np.int64]:
+        """An order of the grasps in which the objects take turns, drawn anew for every round."""
+        rank = np.zeros(len(owners))
+        for index in np.unique(owners):
+            mine = np.flatnonzero(owners == index)
+            rank[mine] = self._rng.permutation(len(mine))
+        return np.lexsort((self._rng.random(len(owners)), rank))
+
+    def _judged(self, grasps: SceneGrasps, kind: Kind) -> GripperLabels:
+        label = np.zeros(len(grasps), np.int8)
+        reason = np.full(len(grasps), "", dtype="<U20")
+        owner = grasps.object.copy()
+        for index, pose in enumerate(grasps.pose):
+            self._reset()
+            verdict = judge(
+                self._world,
+                pose @ self._proposer.tcp_from_gripper,
+                graspable=self._proposer.graspable,
             )
-            in_world = world_from_object @ candidates.object_from_gripper
-            poses.append(in_world @ self._gripper.gripper_from_tcp)
-            owners.append(index)
-        return self._untested(poses, owners, library=False)
+            label[index] = verdict.success
+            reason[index] = "" if verdict.success else verdict.reason.value
+            if verdict.success and verdict.target is not None:
+                owner[index] = verdict.target
+        self._reset()
+        return _labels(grasps.pose, owner, label, kind, reason)
 
-    def _inherited(
-    free: _Tested, trials: NDArray[np.integer], judged: GripperLabels
+    def _reset(self) -> None:
+        """Back to the settled scene, nothing asleep: a trial must not depend on the one before."""
+        mujoco.mj_resetData(self._world.model, self._world.data)
+        self._world.restore(self._start)
+
+    def _perturbed(self, positives: Poses, owners: NDArray[np.integer]) -> GripperLabels:
+        """Moves some judged positives a little and tries them again: labels near the edge of
+        success.
+        """
+        count = min(self._config.perturbed, len(positives))
+        chosen = self._rng.permutation(len(positives))[:count]
+        move = np.tile(np.eye(4), (count, 1, 1))
+        move[:, :3, 3] = self._rng.normal(scale=0.008, size=(count, 3))
+        if count:
+            turn = self._rng.normal(scale=np.deg2rad(10.0), size=(count, 3))
+            move[:, :3, :3] = Rotation.from_rotvec(turn).as_matrix()
+        tested = self._proposer.tested(
+            SceneGrasps.untested(positives[chosen] @ move, owners[chosen], library=False)
+        )
+        free = tested.reason == ""
+        hit = tested.part(~free)
+        return GripperLabels.joined(
+            [
+                self._judged(tested.part(free), Kind.PERTURBED),
+                _labels(hit.pose, hit.object, 0, Kind.PERTURBED, hit.reason),
+            ]
+        )
+
+
+def _inherited(
+    free: SceneGrasps, trials: NDArray[np.integer], judged: GripperLabels
 ) -> GripperLabels:
     """Labels of the free symmetric copies of tried grasps: those of the grasp that was tried."""
     position = {int(group): index for index, group in enumerate(free.group[trials])}
@@ -167,18 +181,8 @@ class SceneLabeller:
     )
 
 
-def _joined(parts: list[_Tested]) -> _Tested:
-    return _Tested(
-        np.concatenate([p.pose for p in parts]),
-        np.concatenate([p.object for p in parts]),
-        np.concatenate([p.reason for p in parts]),
-        np.concatenate([p.library for p in parts]),
-        np.concatenate([p.group for p in parts]),
-    )
-
-
 def _labels(
-    pose: _Poses,
+    pose: Poses,
     owner: NDArray[np.integer],
     label: int | NDArray[np.int8],
     kind: Kind,

@@ -1,4 +1,6 @@
-"""Training scenes: from a seed to a labelled record, and runs of many seeds into a data set folder."""
+"""Training scenes: from a seed to a labelled record, and runs of many seeds into a data set
+folder.
+"""
 
 from __future__ import annotations
 
@@ -71,7 +73,7 @@ class SceneJob:
     Attributes:
         config: how scenes are drawn and labelled.
         library: packed file or folder of the grasp library; read once a process.
-        objects: what is drawn from; those without labels for every gripper are left out.
+        objects: what is drawn from; objects without library grasps get fresh ones only.
     """
 
     config: SceneConfig
@@ -88,26 +90,10 @@ def _build(seed: int, job: SceneJob) -> SceneRecord:
     return build_scene(seed, job.config, _library(job.library), job.objects)
 
 
-def labelled_objects(job: SceneJob) -> ObjectSet:
-    """The job's objects that the library has labels of for every gripper, in the set's order.
-
-    Raises:
-        DataError: there is none.
-    """
-    library = _library(job.library)
-    names = [cached_gripper(name).name for name in job.config.grippers]
-    labelled = set(library.objects(names))
-    usable = [name for name in job.objects.names if name in labelled]
-    if not usable:
-        raise DataError(
-            f"the library {job.library} has no object with labels for all of {', '.join(names)}; expected at least "
-            "one. Run `megrasp data grasps` for these grippers first."
-        )
-    return job.objects.restricted(usable)
-
-
 def manifest_of(job: SceneJob) -> dict[str, Any]:
-    """What identifies a data set: config, objects, grippers with their hashes, and the versions it was made with."""
+    """What identifies a data set: config, objects, grippers with their hashes, and the versions it
+    was made with.
+    """
     versions = {
         name: importlib.metadata.version(name) for name in ("megrasp-core", "mujoco", "numpy")
     }
@@ -143,8 +129,16 @@ def generate_scenes(
 
     Returns:
         What was done; seeds whose heap did not come to rest are listed as failed.
+
+    Raises:
+        DataError: no objects, no library, or `folder` holds another data set.
     """
-    job = SceneJob(job.config, Path(job.library), labelled_objects(job))
+    job = SceneJob(job.config, Path(job.library), job.objects)
+    if not len(job.objects):
+        raise DataError(
+            "the object set is empty; expected at least one object. Give procedural or asset "
+            "objects."
+        )
     writer = SceneWriter(Path(folder), manifest_of(job), shard_size)
     try:
         return run_units(

@@ -1,11 +1,12 @@
-"""Scene records on disk: one file a scene while running, shards of many once enough are there, and a manifest.
+"""Scene records on disk: one file a scene while running, shards of many once enough are there, and
+a manifest.
 
     manifest.json                 config, versions, counts
     scenes/scene_0000000007.npz   finished scenes, not yet in a shard
     shards/shard_00000.npz        `shard_size` scenes each
 
-A scene's file is written as a whole, so a killed process loses the scene it was making and nothing else; a data set
-folder can be read while it grows.
+A scene's file is written as a whole, so a killed process loses the scene it was making and nothing
+else; a data set folder can be read while it grows.
 """
 
 from __future__ import annotations
@@ -83,7 +84,9 @@ def record_from_arrays(file: Any, prefix: str = "") -> SceneRecord:
     start = 0
     for name, count in zip(meta["grippers"], meta["counts"]):
         part = slice(start, start + count)
-        labels[name] = GripperLabels(pose[part], owner[part], label[part], kind[part], reason[part])
+        labels[name] = GripperLabels(
+            pose[part], owner[part], label[part], kind[part], reason[part]
+        )
         start += count
     inner = meta["bin_inner"]
     return SceneRecord(
@@ -128,7 +131,8 @@ class SceneWriter:
             )
             if changed:
                 raise DataError(
-                    f"{self.folder} holds a data set that differs in {', '.join(changed)}; expected the same "
+                    f"{self.folder} holds a data set that differs in {', '.join(changed)}; "
+                    "expected the same "
                     "configuration to continue it. Give another --out, or the former options."
                 )
         (self.folder / "scenes").mkdir(parents=True, exist_ok=True)
@@ -173,7 +177,8 @@ class SceneWriter:
 
 
 class SceneDataset(Sequence[SceneRecord]):
-    """Reads one or more data set folders, sorted by scene name within each; records are read when asked for.
+    """Reads one or more data set folders, sorted by scene name within each; records are read when
+    asked for.
 
     Args:
         folders: data set folders, as written by `SceneWriter`.
@@ -219,8 +224,8 @@ class SceneDataset(Sequence[SceneRecord]):
             return record_from_arrays(self._open[1], prefix)
         except (KeyError, ValueError, OSError, zipfile.BadZipFile, zlib.error) as error:
             raise DataError(
-                f"{path} is damaged at {name} ({error}); expected a scene record. Delete the file and run the "
-                "generator again."
+                f"{path} is damaged at {name} ({error}); expected a scene record. Delete the file "
+                "and run the generator again."
             ) from error
 
     def __iter__(self) -> Iterator[SceneRecord]:
@@ -232,7 +237,8 @@ def _manifest(folder: Path) -> dict[str, Any]:
     manifest = read_json(folder / "manifest.json")
     if manifest.get("format") != FORMAT:
         raise DataError(
-            f"{folder} has format {manifest.get('format')!r}; expected {FORMAT}. Make the data set again."
+            f"{folder} has format {manifest.get('format')!r}; expected {FORMAT}. Make the data "
+            "set again."
         )
     return manifest
 

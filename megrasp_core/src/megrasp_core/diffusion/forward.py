@@ -13,8 +13,10 @@ from torch import Tensor
 
 from megrasp_core.diffusion.schedule import NoiseSchedule
 from megrasp_core.lie import igso3, so3
+from megrasp_core.lie.precision import full_precision
 
 
+@full_precision
 def perturb(
     rotation: Tensor,
     translation: Tensor,
@@ -53,6 +55,7 @@ def perturb(
     return rotation @ so3.exp(turn), noisy_translation
 
 
+@full_precision
 def target(
     rotation: Tensor,
     translation: Tensor,
@@ -73,6 +76,7 @@ def target(
     )
 
 
+@full_precision
 def apply_residual(
     residual: Tensor,
     rotation: Tensor,
@@ -87,6 +91,7 @@ def apply_residual(
     return rotation @ so3.exp(turn), moved
 
 
+@full_precision
 def score_target(
     rotation: Tensor, noisy_rotation: Tensor, s: Tensor, schedule: NoiseSchedule
 ) -> Tensor:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from megrasp_core.diffusion.forward import scaled_rotation_score, target
+from megrasp_core.diffusion.forward import target
 from megrasp_core.diffusion.schedule import NoiseSchedule
 from megrasp_core.lie import igso3, so3
 
@@ -35,15 +35,8 @@ class PointMixture:
 
     def posterior(self, rotation: Tensor, translation: Tensor, s: Tensor) -> Tensor:
         """Probability (P, K) that a noisy pose (P, 3, 3), (P, 3) at level s (P,) is from each."""
-        offset = translation[:, None] - self.translation
-        angle = so3.angle(self._back(rotation))
-        level = s[:, None]
-        log_p = (
-            self.weight.log()
-            - 0.5 * offset.square().sum(-1) / (level * self.schedule.sigma_t) ** 2
-            + igso3.log_density(angle, level * self.schedule.sigma_r)
-        )
-        return log_p.softmax(-1)
+        log_f = igso3.log_density(so3.angle(self._back(rotation)), self._sigma(s))
+        return self._posterior(translation, s, log_f)
 
     def residual(self, rotation: Tensor, translation: Tensor, s: Tensor) -> Tensor:
         """E[y | noisy pose] (P, 6), the minimiser of the training loss."""
@@ -52,17 +45,27 @@ class PointMixture:
 
     def scaled_score(self, rotation: Tensor, translation: Tensor, s: Tensor) -> Tensor:
         """[s sigma_t, s sigma_r] times the body-frame score of the noisy density (P, 6)."""
-        share = self.posterior(rotation, translation, s)
-        offset = self._targets(rotation, translation, s)[..., :3]
         turn = so3.log(self._back(rotation))
-        rotation_score = scaled_rotation_score(turn, (s * self.schedule.sigma_r)[:, None])
-        return (share[..., None] * torch.cat([offset, rotation_score], -1)).sum(1)
+        angle = turn.square().sum(-1).clamp(min=1e-12).sqrt()
+        values = igso3.evaluate(angle, self._sigma(s))
+        share = self._posterior(translation, s, values.log_density)
+        offset = self._targets(rotation, translation, s)[..., :3]
+        turn_score = (self._sigma(s) * values.score / angle)[..., None] * turn
+        return (share[..., None] * torch.cat([offset, turn_score], -1)).sum(1)
 
     def nearest(self, rotation: Tensor, translation: Tensor) -> Tensor:
         """Index (P,) of the nearest target, distances in units of the schedule's sigmas."""
         offset = (translation[:, None] - self.translation).norm(dim=-1) / self.schedule.sigma_t
         angle = so3.angle(self._back(rotation)) / self.schedule.sigma_r
         return (offset.square() + angle.square()).argmin(-1)
+
+    def _sigma(self, s: Tensor) -> Tensor:
+        return (s * self.schedule.sigma_r)[:, None]
+
+    def _posterior(self, translation: Tensor, s: Tensor, log_f: Tensor) -> Tensor:
+        offset = (translation[:, None] - self.translation).square().sum(-1)
+        log_p = -0.5 * offset / (s[:, None] * self.schedule.sigma_t).square() + log_f
+        return (self.weight.log() + log_p).softmax(-1)
 
     def _back(self, rotation: Tensor) -> Tensor:
         return self.rotation.transpose(-1, -2) @ rotation[:, None]

@@ -12,6 +12,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -21,6 +22,7 @@ from megrasp_core.diffusion.schedule import NoiseSchedule
 from megrasp_core.diffusion.settings import SamplerSettings
 from megrasp_core.errors import CancelledError, InvalidRequestError
 from megrasp_core.lie import igso3, so3
+from megrasp_core.lie.precision import full_precision
 
 Denoise = Callable[[Tensor, Tensor, Tensor], Tensor]
 """(R (P, 3, 3), t (P, 3), s (P,)) -> (P, 6): the residual; where `SamplerSettings.uses_score`, its
@@ -210,79 +212,85 @@ def _walk(
     noise_first: bool = False,
 ) -> Iterator[SamplerStep]:
     """Descents from the levels `tops`, each over `steps` levels, one yield per evaluation."""
-    pose = _Pose(rotation, translation, schedule, generator)
     index = 0
+    count = translation.shape[:1]
     for top in tops:
         if noise_first:
-            pose.add_noise(top)
-        for s, share, noise, after in _plan(settings, schedule, steps, top):
-            residual = denoise(pose.rotation, pose.translation, pose.level(s))
-            pose.move(residual, s * share, noise)
+            level = translation.new_full(count, top)
+            rotation, translation = perturb(rotation, translation, level, schedule, generator)
+        moves = list(_plan(settings, schedule, steps, top))
+        noise = _noise([move.noise for move in moves], translation, schedule, generator)
+        for k, move in enumerate(moves):
+            residual = denoise(rotation, translation, translation.new_full(count, move.s))
+            kick = None if noise is None else (noise[0][k], noise[1][k])
+            rotation, translation = _moved(
+                rotation, translation, residual, move.amount, kick, schedule
+            )
             index += 1
-            yield SamplerStep(index, total, after, pose.rotation, pose.translation)
+            yield SamplerStep(index, total, move.after, rotation, translation)
+
+
+class _Move(NamedTuple):
+    """One evaluation, all in levels: where, how far to follow it, noise to add, where it ends."""
+
+    s: float
+    amount: float
+    noise: float
+    after: float
 
 
 def _plan(
     settings: SamplerSettings, schedule: NoiseSchedule, steps: int, top: float
-) -> Iterator[tuple[float, float, float, float]]:
-    """(level, share of the residual, noise level to add, level afterwards) per evaluation."""
+) -> Iterator[_Move]:
     levels = schedule.levels(steps, top)
     predictor = settings.kind == "ancestral" or settings.langevin_predictor
     corrections = settings.langevin_inner - int(settings.langevin_predictor)
     step = settings.langevin_step
     for s, after in itertools.pairwise(levels):
         if settings.kind not in ("ancestral", "langevin"):
-            yield s, 1 - after / s, 0.0, after
+            yield _Move(s, s - after, 0.0, after)
             continue
         if settings.kind == "langevin":
             for _ in range(corrections):
-                yield s, 0.5 * step, math.sqrt(step) * s, s
+                yield _Move(s, 0.5 * step * s, math.sqrt(step) * s, s)
         if predictor:
-            yield s, 1 - (after / s) ** 2, after * math.sqrt(1 - (after / s) ** 2), after
+            removed = 1 - (after / s) ** 2
+            yield _Move(s, s * removed, after * math.sqrt(removed), after)
     if settings.kind == "langevin" and not predictor:
-        yield levels[-2], 1.0, 0.0, 0.0
+        yield _Move(levels[-2], levels[-2], 0.0, 0.0)
 
 
-class _Pose:
-    """Poses on their way, with the moves that a sampler makes."""
+def _noise(
+    levels: list[float],
+    like: Tensor,
+    schedule: NoiseSchedule,
+    generator: torch.Generator | None,
+) -> tuple[Tensor, Tensor] | None:
+    """Offsets (K, P, 3) and turns (K, P, 3, 3) for K moves, drawn at once, which is cheaper."""
+    if not any(levels):
+        return None
+    level = torch.tensor(levels, dtype=like.dtype, device=like.device)[:, None]
+    level = level.expand(-1, like.shape[0])
+    eps = torch.randn(*level.shape, 3, generator=generator, dtype=like.dtype, device=like.device)
+    turn = so3.exp(igso3.sample(schedule.sigma_r * level, generator))
+    return (schedule.sigma_t * level)[..., None] * eps, turn
 
-    def __init__(
-        self,
-        rotation: Tensor,
-        translation: Tensor,
-        schedule: NoiseSchedule,
-        generator: torch.Generator | None,
-    ) -> None:
-        self.rotation = rotation
-        self.translation = translation
-        self._schedule = schedule
-        self._generator = generator
 
-    def level(self, s: float) -> Tensor:
-        """The level as a tensor (P,)."""
-        return self.translation.new_full(self.translation.shape[:1], s)
-
-    def add_noise(self, s: float) -> None:
-        """Noise of level s of the schedule's process."""
-        self.rotation, self.translation = perturb(
-            self.rotation, self.translation, self.level(s), self._schedule, self._generator
-        )
-
-    def move(self, residual: Tensor, amount: float, noise: float) -> None:
-        """Go `amount` (in levels) along the residual (P, 6), then add noise of level `noise`."""
-        schedule = self._schedule
-        residual = residual.to(self.translation.dtype)
-        offset = (amount * schedule.sigma_t) * residual[:, :3]
-        turn = so3.exp((amount * schedule.sigma_r) * residual[:, 3:])
-        if noise > 0:
-            eps = torch.randn(
-                offset.shape,
-                generator=self._generator,
-                dtype=offset.dtype,
-                device=offset.device,
-            )
-            offset = offset + (noise * schedule.sigma_t) * eps
-            eta = igso3.sample(self.level(noise * schedule.sigma_r), self._generator)
-            turn = turn @ so3.exp(eta)
-        self.translation = self.translation + (self.rotation @ offset[..., None]).squeeze(-1)
-        self.rotation = so3.orthonormalize(self.rotation @ turn)
+@full_precision
+def _moved(
+    rotation: Tensor,
+    translation: Tensor,
+    residual: Tensor,
+    amount: float,
+    noise: tuple[Tensor, Tensor] | None,
+    schedule: NoiseSchedule,
+) -> tuple[Tensor, Tensor]:
+    """Poses after going `amount` (in levels) along the residual (P, 6) and taking the noise."""
+    residual = residual.to(translation.dtype)
+    offset = (amount * schedule.sigma_t) * residual[:, :3]
+    turned = rotation @ so3.exp((amount * schedule.sigma_r) * residual[:, 3:])
+    if noise is not None:
+        offset = offset + noise[0]
+        turned = turned @ noise[1]
+    moved = translation + (rotation @ offset[..., None]).squeeze(-1)
+    return so3.orthonormalize(turned), moved

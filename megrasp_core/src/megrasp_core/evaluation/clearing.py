@@ -1,19 +1,21 @@
 """The rules by which a bin is emptied: which gripper is due, what counts as a try, when to stop.
 
-One plan serves the demo without ROS (`demo.py`) and the ROS node `bin_clearing`, so that both empty a bin in
-the same way. It knows nothing of the cell: it hears of attempts and answers what to do next.
+One plan serves the demo without ROS (`demo.py`) and the ROS node `bin_clearing`, so that both
+empty a bin in the same way. It knows nothing of the cell: it hears of attempts and answers what to
+do next.
 
 Rules, with `tries` = 3 by default:
 
-* The objects are shared out evenly over the grippers, the first ones taking what is left over. A gripper hands
-  over as soon as its share has left the bin.
-* Tries are counted as failures in a row. A failed grasp, and a synthesis that offers no grasp to execute,
-  count one. TCP poses that failed since the last success are excluded from the next synthesis.
-* After `tries` failures in a row the object that they were aimed at is given up for this gripper: grasps whose
-  TCP lies within `give_up_radius` of the failed ones are passed over from then on.
-* When as many objects are given up as are left in the bin, or `tries` syntheses in a row offered nothing, the
-  gripper hands over; if it was the last, the run ends. A bin of n objects thus sees at most `tries` * n
-  attempts of a gripper, and every run ends.
+* The objects are shared out evenly over the grippers, the first ones taking what is left over. A
+  gripper hands over as soon as its share has left the bin.
+* Tries are counted as failures in a row. A failed grasp, and a synthesis that offers no grasp to
+  execute, count one. TCP poses that failed since the last success are excluded from the next
+  synthesis.
+* After `tries` failures in a row the object that they were aimed at is given up for this gripper:
+  grasps whose TCP lies within `give_up_radius` of the failed ones are passed over from then on.
+* When as many objects are given up as are left in the bin, or `tries` syntheses in a row offered
+  nothing, the gripper hands over; if it was the last, the run ends. A bin of n objects thus sees
+  at most `tries` * n attempts of a gripper, and every run ends.
 """
 
 from __future__ import annotations
@@ -22,12 +24,13 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
+
 from megrasp_core.errors import InvalidRequestError
 
 
 @dataclass(frozen=True)
 class PickRecord:
-    """One attempt, as printed and as kept in summary.json. Lengths in m, times in s, scores in 0..1."""
+    """One attempt, as printed and as kept in summary.json. Lengths in m, times in s."""
 
     attempt: int
     gripper: str
@@ -50,13 +53,13 @@ class PickRecord:
         outcome = f"lifted {what}" if self.success else f"failed ({self.reason}), removed {what}"
         return (
             f"pick {self.attempt:2d}  {self.gripper:<14s} score {score}  {outcome}; "
-            f"{self.objects_left} left  [{self.returned} grasps in {self.synthesis_seconds:.2f} s, "
-            f"executed in {self.execution_seconds:.2f} s]"
+            f"{self.objects_left} left  [{self.returned} grasps in "
+            f"{self.synthesis_seconds:.2f} s, executed in {self.execution_seconds:.2f} s]"
         )
 
 
 class ClearingPlan:
-    """Which gripper is due and what it must not try again, after everything that has happened so far."""
+    """Which gripper is due and what it must not try again, after all attempts so far."""
 
     def __init__(
         self,
@@ -66,14 +69,16 @@ class ClearingPlan:
         tries: int = 3,
         give_up_radius: float = 0.05,
     ) -> None:
-        """`objects`: how many are in the bin now. Raises InvalidRequestError without grippers or tries."""
+        """`objects`: how many are in the bin. Raises InvalidRequestError for bad numbers."""
         if not grippers:
             raise InvalidRequestError(
-                "no gripper was given for clearing the bin; expected one or more names, used in this order"
+                "no gripper was given for clearing the bin; expected one or more names, used in "
+                "this order"
             )
         if tries < 1 or objects < 0:
             raise InvalidRequestError(
-                f"tries = {tries} and objects = {objects} were given; expected at least 1 try and 0 objects"
+                f"tries = {tries} and objects = {objects} were given; expected at least 1 try "
+                "and 0 objects"
             )
         self.grippers = tuple(grippers)
         self.tries = tries
@@ -100,7 +105,7 @@ class ClearingPlan:
         return list(self._failed)
 
     def choose(self, world_from_tcp: np.ndarray) -> int | None:
-        """Index of the first of the poses (n, 4, 4), best first, that is not aimed at a given-up object."""
+        """Index of the first pose (n, 4, 4), best first, not aimed at a given-up object."""
         for index, pose in enumerate(np.asarray(world_from_tcp, dtype=float).reshape(-1, 4, 4)):
             near = (
                 np.linalg.norm(pose[:3, 3] - spot) < self.give_up_radius for spot in self._given_up
@@ -110,7 +115,7 @@ class ClearingPlan:
         return None
 
     def record(self, record: PickRecord, world_from_tcp: np.ndarray | None) -> None:
-        """Takes in one attempt. `world_from_tcp` (4, 4): what was executed, None if there was no grasp."""
+        """Takes in one attempt. `world_from_tcp` (4, 4): what was executed, None for no grasp."""
         self.records.append(record)
         self.objects_left = record.objects_left
         if record.success:
@@ -171,7 +176,11 @@ class ClearingPlan:
         if not (share_done or stuck):
             return
         if self._turn + 1 == len(self.grippers):
-            self.ended = f"{self.objects_left} objects were given up after {self.tries} tries each"
+            self.ended = (
+                f"no grasp was found {self.tries} times in a row"
+                if self._without_grasp >= self.tries
+                else f"{self.objects_left} objects were given up after {self.tries} tries each"
+            )
             return
         self._turn += 1
         self._failed.clear()

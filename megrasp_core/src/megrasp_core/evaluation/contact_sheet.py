@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from megrasp_core.evaluation.clearing import PickRecord
 from PIL import Image, ImageDraw, ImageFont
+
+from megrasp_core.evaluation.clearing import PickRecord
 
 CAPTION_HEIGHT = 26
 GAP = 6

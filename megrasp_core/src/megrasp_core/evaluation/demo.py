@@ -1,4 +1,4 @@
-"""Bin clearing without ROS: a grasp synthesizer empties a simulated bin (DESIGN section 7, `binpick`)."""
+"""Bin clearing without ROS: a synthesizer empties a simulated bin (DESIGN section 7)."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def run_demo(
     picture: str | Path | None = None,
     on_pick: Callable[[PickRecord], None] | None = None,
 ) -> dict[str, object]:
-    """Empties a bin of procedural objects and returns the summary of `ClearingPlan`, with seed and seconds.
+    """Empties a bin of procedural objects; returns `ClearingPlan.summary`, seed and seconds.
 
     grippers: used in this order, each for an equal share of the objects. picture: PNG for one
     contact sheet of all picks; the picture of every pick goes into a folder beside it, named

@@ -122,7 +122,7 @@ def run_scene(
             _judge_samples(settings, world, planner, cloud, options, goals, outcome)
             world.restore(state)
         result = planner.plan(
-            cloud, num_grasps=settings.returned, drawn=settings.drawn, exclude=failed, **options
+            cloud, num_grasps=settings.returned, drawn=settings.drawn, exclude=list(failed), **options
         )
         outcome.seconds.append(result.timing["total"])
         outcome.evaluations = result.evaluations

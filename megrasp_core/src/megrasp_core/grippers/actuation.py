@@ -1,4 +1,6 @@
-"""Drives: position actuators added to joints, drives of the model made stiffer, controls of a posture."""
+"""Drives: position actuators added to joints, drives of the model made stiffer, controls of a
+posture.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +13,12 @@ from megrasp_core.grippers.description import Actuation, GripperDescription
 
 
 def apply_actuation(spec: mujoco.MjSpec, description: GripperDescription) -> None:
-    """Add or replace the drives that `actuation` names. Raises DescriptionError for a name the model lacks.
+    """Add or replace the drives that `actuation` names. Raises DescriptionError for a name the
+    model lacks.
 
-    A key is a joint's name: the joint gets a position actuator of the same name, or, where the model already drives
-    that joint, that actuator is changed. It may also be the name of an actuator of the model, for tendon drives.
+    A key is a joint's name: the joint gets a position actuator of the same name, or, where the
+    model already drives that joint, that actuator is changed. It may also be the name of an
+    actuator of the model, for tendon drives.
     """
     joints = {joint.name: joint for joint in spec.joints}
     actuators = {actuator.name: actuator for actuator in spec.actuators if actuator.name}
@@ -33,11 +37,14 @@ def apply_actuation(spec: mujoco.MjSpec, description: GripperDescription) -> Non
             _restiffen(actuators[name], drive)
         else:
             raise DescriptionError(
-                f"{description.file}: 'actuation' names '{name}', which is no joint or actuator of the model; valid "
+                f"{description.file}: 'actuation' names '{name}', which is no joint or actuator "
+                "of the model; valid "
                 f"joints: {', '.join(joints)}; valid actuators: {', '.join(actuators) or '(none)'}"
             )
     for index, actuator in enumerate(spec.actuators):
-        actuator.name = actuator.name or _free_name(actuator.target or f"actuator_{index}", set(actuators))
+        actuator.name = actuator.name or _free_name(
+            actuator.target or f"actuator_{index}", set(actuators)
+        )
 
 
 def control_of(model: mujoco.MjModel, qpos: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -59,16 +66,22 @@ def _drives_joint(actuator: mujoco.MjsActuator, joint: str) -> bool:
 
 def _add_drive(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, drive: Actuation) -> None:
     actuator = spec.add_actuator(
-        name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT,
-        gaintype=mujoco.mjtGain.mjGAIN_FIXED, biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-    )  # fmt: skip
+        name=joint.name,
+        target=joint.name,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+    )
     actuator.gainprm[0] = drive.kp
     actuator.biasprm[:3] = (0.0, -drive.kp, 0.0)
+    if joint.range[0] < joint.range[1] and joint.limited != mujoco.mjtLimited.mjLIMITED_FALSE:
+        actuator.ctrlrange = joint.range
+        actuator.ctrllimited = int(mujoco.mjtLimited.mjLIMITED_TRUE)
     _limit_force(actuator, drive)
 
 
 def _restiffen(actuator: mujoco.MjsActuator, drive: Actuation) -> None:
-    """Scale gain and stiffness alike, so that the control keeps its meaning; set the force limit."""
+    """Scale gain and stiffness alike, so that controls keep their meaning; limit the force."""
     stiffness = -actuator.biasprm[1]
     if stiffness > 0.0:
         factor = drive.kp / stiffness
@@ -85,7 +98,9 @@ def _limit_force(actuator: mujoco.MjsActuator, drive: Actuation) -> None:
 
 
 def _like(current: object, value: float) -> object:
-    """Return `value` in the shape MuJoCo's binding uses for a joint's damping (a number, or polynomial terms)."""
+    """Return `value` in the shape MuJoCo's binding uses for a joint's damping (a number, or
+    polynomial terms).
+    """
     if isinstance(current, np.ndarray):
         out = np.zeros_like(current)
         out[0] = value

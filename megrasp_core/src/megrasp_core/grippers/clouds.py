@@ -12,15 +12,18 @@ from megrasp_core.grippers.geometry import BodyMesh, posed
 from megrasp_core.grippers.render import Mesh, SurfaceSample, draw, farthest, render_cloud, visible
 
 NEAR_TCP = 0.08
+# A wide gripper may open beyond 8 cm: then up to 1.5 times the nearest point counts as near.
+WIDE_SHARE = 1.5
 
 
 @dataclass(frozen=True)
 class GripperClouds:
     """Outer surface of both postures in the gripper frame, metres.
 
-    `open_points`, `open_normals`, `closed_points`, `closed_normals`: (count, 3). `displacement` (count, 3) leads from
-    each open point to the same point of the same link in the closed posture; `closed_displacement` is that of the
-    closed points: from where the point was when open to where it is.
+    `open_points`, `open_normals`, `closed_points`, `closed_normals`: (count, 3). `displacement`
+    (count, 3) leads from each open point to the same point of the same link in the closed posture;
+    `closed_displacement` is that of the closed points: from where the point was when open to where
+    it is.
     """
 
     open_points: NDArray[np.float64]
@@ -33,9 +36,11 @@ class GripperClouds:
 
 @dataclass(frozen=True)
 class GripperTokens:
-    """What the network sees of a gripper, in TCP coordinates: `count` open points, then `count` closed ones.
+    """What the network sees of a gripper, in TCP coordinates: `count` open points, then `count`
+    closed ones.
 
-    `points`, `normals`, `displacement`: (2 * count, 3) in metres; `closed`: (2 * count,) float, 0 open and 1 closed.
+    `points`, `normals`, `displacement`: (2 * count, 3) in metres; `closed`: (2 * count,) float, 0
+    open and 1 closed.
     """
 
     points: NDArray[np.float64]
@@ -51,7 +56,7 @@ def make_clouds(
     count: int,
     seed: int,
 ) -> GripperClouds:
-    """Render both postures. `meshes` are visual ones, poses are gripper_from_body (nbody, 4, 4)."""
+    """Render both postures from visual meshes; poses are gripper_from_body (nbody, 4, 4)."""
     bodies = np.array([mesh.body for mesh in meshes])
     first = render_cloud(posed(list(meshes), open_poses), count, seed)
     second = render_cloud(posed(list(meshes), closed_poses), count, seed)
@@ -66,7 +71,9 @@ def make_clouds(
 
 
 def make_tokens(clouds: GripperClouds, tcp: Sequence[float], count: int) -> GripperTokens:
-    """Choose farthest points, half of each posture's from within 8 cm of the TCP (where there are enough)."""
+    """Choose farthest points, half of each posture's from within 8 cm of the TCP (where there are
+    enough).
+    """
     parts = []
     for closed in (False, True):
         points = (clouds.closed_points if closed else clouds.open_points) - np.asarray(tcp)
@@ -79,9 +86,16 @@ def make_tokens(clouds: GripperClouds, tcp: Sequence[float], count: int) -> Grip
 
 
 def surface_points(meshes: Sequence[Mesh], spacing: float, seed: int = 0) -> SurfaceSample:
-    """Return outer surface points about `spacing` apart: dense draw, outside only, one point a voxel."""
+    """Return outer surface points about `spacing` apart: dense draw, outside only, one point a
+    voxel.
+    """
     area = sum(
-        float(np.linalg.norm(np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]]), axis=1).sum()) / 2.0
+        float(
+            np.linalg.norm(
+                np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]]), axis=1
+            ).sum()
+        )
+        / 2.0
         for v, f in meshes
     )
     drawn = max(64, int(3.0 * area / spacing**2))
@@ -98,15 +112,18 @@ def _moved(
     before: NDArray[np.float64],
     after: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return where the points (N, 3), known with body poses `before`, lie with body poses `after`."""
+    """Return where points (N, 3), known with poses `before`, lie with poses `after`."""
     body = bodies[sample.mesh]
     step = after[body] @ np.linalg.inv(before[body])
     return np.einsum("nij,nj->ni", step[:, :3, :3], sample.points) + step[:, :3, 3]
 
 
 def _near_and_far(points: NDArray[np.float64], count: int) -> NDArray[np.int64]:
-    """Choose `count` indices: half by farthest points among those near the origin, the rest among all others."""
-    near = np.flatnonzero(np.linalg.norm(points, axis=1) <= NEAR_TCP)
+    """Choose `count` indices: half by farthest points among those near the origin, the rest among
+    all others.
+    """
+    distance = np.linalg.norm(points, axis=1)
+    near = np.flatnonzero(distance <= max(NEAR_TCP, WIDE_SHARE * float(distance.min())))
     wanted = min(count // 2, len(near))
     chosen = near[farthest(points[near], wanted)] if wanted else np.zeros(0, np.int64)
     rest = np.setdiff1d(np.arange(len(points)), chosen)

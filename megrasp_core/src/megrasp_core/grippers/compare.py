@@ -1,4 +1,4 @@
-"""Fidelity: how far a description is from another one of the same gripper, such as its CAD model."""
+"""Fidelity: how far a description is from another of the same gripper, such as its CAD model."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ OPENING_PATCH = 0.008
 class Comparison:
     """Differences between a gripper and a reference, metres.
 
-    `surface`: posture -> mean symmetric point-to-surface distance of the outer surfaces; `surface_p95`: its 95th
-    percentile; `tcp`: distance of the TCPs; `opening`: difference of the clear widths of the open postures at the TCP;
-    `pad_motion`: largest difference of the mean displacement of a finger group's pad from open to closed.
+    `surface`: posture -> mean symmetric point-to-surface distance of the outer surfaces;
+    `surface_p95`: its 95th percentile; `tcp`: distance of the TCPs; `opening`: difference of the
+    clear widths of the open postures at the TCP; `pad_motion`: largest difference of the mean
+    displacement of a finger group's pad from open to closed.
     """
 
     surface: dict[str, float]
@@ -47,7 +48,8 @@ def compare(gripper: Gripper, reference: Gripper, count: int = 2000, seed: int =
         p95[name] = float(np.percentile(np.concatenate([there, back]), 95))
     groups = range(min(len(gripper.description.fingers), len(reference.description.fingers)))
     motion = max(
-        float(np.linalg.norm(pad_displacement(gripper, i) - pad_displacement(reference, i))) for i in groups
+        float(np.linalg.norm(pad_displacement(gripper, i) - pad_displacement(reference, i)))
+        for i in groups
     )
     tcp = float(np.linalg.norm(gripper.tcp - reference.tcp))
     return Comparison(mean, p95, tcp, opening(gripper) - opening(reference), motion)
@@ -56,25 +58,38 @@ def compare(gripper: Gripper, reference: Gripper, count: int = 2000, seed: int =
 def surface_distance(points: NDArray[np.float64], meshes: Sequence[Mesh]) -> NDArray[np.float64]:
     """Return the distance (N,) of points (N, 3) to the nearest triangle of the meshes."""
     scene = raycasting_scene(meshes)
-    return scene.compute_distance(o3d.core.Tensor(points.astype(np.float32))).numpy().astype(np.float64)
+    return (
+        scene.compute_distance(o3d.core.Tensor.from_numpy(points.astype(np.float32)))
+        .numpy()
+        .astype(np.float64)
+    )
 
 
 def opening(gripper: Gripper, posture: str = "open") -> float:
-    """Return the clear width between the first two finger groups around the TCP, metres; NaN where no ray hits both.
+    """Return the clear width between the first two finger groups around the TCP, metres; NaN where
+    no ray hits both.
 
-    Rays leave a patch of the plane through the TCP, 16 mm wide and high, along -X and +X; the smallest sum of the two
-    distances to the collision geometry counts. Meant for postures whose fingers do not reach the middle.
+    Rays leave a patch of the plane through the TCP, 16 mm wide and high, along -X and +X; the
+    smallest sum of the two distances to the collision geometry counts. Meant for postures whose
+    fingers do not reach the middle.
     """
     poses = gripper.body_poses(posture)
     side = np.linspace(-OPENING_PATCH, OPENING_PATCH, 9)
-    grid = np.stack(np.meshgrid([0.0], side, side, indexing="ij"), axis=-1).reshape(-1, 3) + gripper.tcp
+    grid = (
+        np.stack(np.meshgrid([0.0], side, side, indexing="ij"), axis=-1).reshape(-1, 3)
+        + gripper.tcp
+    )
     total = np.zeros(len(grid))
     for group, sign in ((0, -1.0), (1, 1.0)):
-        meshes = [m for m in gripper.body_meshes("collision") if gripper.finger_groups[m.body] == group]
+        meshes = [
+            m for m in gripper.body_meshes("collision") if gripper.finger_groups[m.body] == group
+        ]
         if not meshes:
             return float("nan")
         rays = np.concatenate([grid, np.tile([sign, 0.0, 0.0], (len(grid), 1))], axis=1)
-        hits = raycasting_scene(posed(meshes, poses)).cast_rays(o3d.core.Tensor(rays.astype(np.float32)))
+        hits = raycasting_scene(posed(meshes, poses)).cast_rays(
+            o3d.core.Tensor.from_numpy(rays.astype(np.float32))
+        )
         total += hits["t_hit"].numpy().astype(np.float64)
     finite = total[np.isfinite(total)]
     return float(finite.min()) if len(finite) else float("nan")
@@ -83,7 +98,8 @@ def opening(gripper: Gripper, posture: str = "open") -> float:
 def pad_displacement(gripper: Gripper, group: int, count: int = 4000) -> NDArray[np.float64]:
     """Return the mean displacement (3,) from open to closed of a finger group's pad.
 
-    The pad is the group's surface within 15 mm of the TCP's height and 10 mm of its innermost point there.
+    The pad is the group's surface within 15 mm of the TCP's height and 10 mm of its innermost
+    point there.
     """
     meshes = [m for m in gripper.body_meshes("visual") if gripper.finger_groups[m.body] == group]
     before, after = gripper.body_poses("open"), gripper.body_poses("closed")
@@ -91,7 +107,9 @@ def pad_displacement(gripper: Gripper, group: int, count: int = 4000) -> NDArray
     starts, ends = [], []
     for mesh in meshes:
         corner = mesh.vertices[mesh.faces]
-        area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+        area = np.linalg.norm(
+            np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1
+        )
         chosen = rng.choice(len(area), count, p=area / area.sum())
         weight = rng.dirichlet(np.ones(3), count)
         points = np.einsum("nk,nki->ni", weight, corner[chosen])

@@ -22,9 +22,22 @@ KINDS = ("parallel", "adaptive", "hand")
 MODEL_SUFFIXES = (".urdf", ".xml", ".mjcf")
 ASSET_PREFIX = "asset:"
 REQUIRED = (
-    "format", "name", "display_name", "kind", "model", "mount_from_model", "tcp", "postures", "actuation",
-    "max_width", "min_width", "fingers", "symmetry", "licence", "source",
-)  # fmt: skip
+    "format",
+    "name",
+    "display_name",
+    "kind",
+    "model",
+    "mount_from_model",
+    "tcp",
+    "postures",
+    "actuation",
+    "max_width",
+    "min_width",
+    "fingers",
+    "symmetry",
+    "licence",
+    "source",
+)
 VALID = (*REQUIRED, "flange_from_gripper")
 
 
@@ -45,7 +58,9 @@ class Pose:
 
 @dataclass(frozen=True)
 class PostureDescription:
-    """A posture: joint positions, or actuator controls that the loader settles. Exactly one of them is given."""
+    """A posture: joint positions, or actuator controls that the loader settles. Exactly one of
+    them is given.
+    """
 
     joints: Mapping[str, float] | None = None
     actuators: Mapping[str, float] | None = None
@@ -53,7 +68,9 @@ class PostureDescription:
 
 @dataclass(frozen=True)
 class Actuation:
-    """Position drive of a joint: stiffness (N/m or Nm/rad), force limit (N or Nm), joint damping, armature."""
+    """Position drive of a joint: stiffness (N/m or Nm/rad), force limit (N or Nm), joint damping,
+    armature.
+    """
 
     kp: float
     force: float
@@ -63,7 +80,9 @@ class Actuation:
 
 @dataclass(frozen=True)
 class GripperDescription:
-    """Contents of a `gripper.yaml`. Lengths in metres, angles in radians; `tcp` is in the gripper frame."""
+    """Contents of a `gripper.yaml`. Lengths in metres, angles in radians; `tcp` is in the gripper
+    frame.
+    """
 
     name: str
     display_name: str
@@ -95,14 +114,17 @@ class GripperDescription:
             root = os.environ.get("MEGRASP_ASSETS")
             if not root:
                 raise DescriptionError(
-                    f"{self.file}: 'model' is '{self.model}', but MEGRASP_ASSETS is not set; set it to the folder "
+                    f"{self.file}: 'model' is '{self.model}', but MEGRASP_ASSETS is not set; set "
+                    "it to the folder "
                     "that holds grippers/"
                 )
             path = Path(root) / "grippers" / self.model.removeprefix(ASSET_PREFIX)
         else:
             path = self.folder / self.model
         if not path.is_file():
-            raise DescriptionError(f"{self.file}: 'model' is '{self.model}', but there is no file {path}")
+            raise DescriptionError(
+                f"{self.file}: 'model' is '{self.model}', but there is no file {path}"
+            )
         return path
 
     def to_dict(self) -> dict[str, Any]:
@@ -139,9 +161,11 @@ class GripperDescription:
 
 
 def load_description(path: str | Path) -> GripperDescription:
-    """Read a `gripper.yaml`, or the one in a folder. Raises DescriptionError for every mistake in it.
+    """Read a `gripper.yaml`, or the one in a folder. Raises DescriptionError for every mistake in
+    it.
 
-    The model file is not opened here: `megrasp_core.grippers.Gripper` checks joints, actuators and bodies.
+    The model file is not opened here: `megrasp_core.grippers.Gripper` checks joints, actuators and
+    bodies.
     """
     file = Path(path).expanduser()
     if file.is_dir():
@@ -153,15 +177,21 @@ def load_description(path: str | Path) -> GripperDescription:
     try:
         data = yaml.safe_load(file.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise DescriptionError(f"{file}: is not valid YAML: {' '.join(str(error).split())}") from error
+        raise DescriptionError(
+            f"{file}: is not valid YAML: {' '.join(str(error).split())}"
+        ) from error
     return parse_description(data, file)
 
 
 def save_description(description: GripperDescription, folder: Path) -> Path:
-    """Write `gripper.yaml` into `folder` (made if missing) and return its path. The model file is not copied."""
+    """Write `gripper.yaml` into `folder` (made if missing) and return its path. The model file is
+    not copied.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / FILE_NAME
-    text = yaml.safe_dump(description.to_dict(), sort_keys=False, default_flow_style=None, width=110)
+    text = yaml.safe_dump(
+        description.to_dict(), sort_keys=False, default_flow_style=None, width=110
+    )
     file.write_text(text, encoding="utf-8")
     return file
 
@@ -180,7 +210,9 @@ def parse_description(data: Any, file: Path) -> GripperDescription:
         raise top.error("model", f"must end in one of {', '.join(MODEL_SUFFIXES)}, got '{model}'")
     tx, ty, tz = top.numbers("tcp", 3)
     if tz <= 0.0:
-        raise top.error("tcp", f"must lie in front of the palm (z > 0 in the gripper frame), got z = {tz:g}")
+        raise top.error(
+            "tcp", f"must lie in front of the palm (z > 0 in the gripper frame), got z = {tz:g}"
+        )
     postures = top.sub("postures")
     postures.check_names(("open", "closed"), ("open", "closed"))
     kind = top.text("kind", KINDS)
@@ -189,7 +221,9 @@ def parse_description(data: Any, file: Path) -> GripperDescription:
         raise top.error("max_width", f"may be null for hands only; kind is '{kind}'")
     min_width = top.number("min_width", minimum=0.0)
     if max_width is not None and min_width >= max_width:
-        raise top.error("min_width", f"must be less than max_width {max_width:g}, got {min_width:g}")
+        raise top.error(
+            "min_width", f"must be less than max_width {max_width:g}, got {min_width:g}"
+        )
     return GripperDescription(
         name=name,
         display_name=top.text("display_name"),
@@ -206,7 +240,9 @@ def parse_description(data: Any, file: Path) -> GripperDescription:
         symmetry=top.integer("symmetry", 1),
         licence=top.text("licence"),
         source=top.text("source"),
-        flange_from_gripper=_pose(top, "flange_from_gripper") if "flange_from_gripper" in top.data else Pose(),
+        flange_from_gripper=_pose(top, "flange_from_gripper")
+        if "flange_from_gripper" in top.data
+        else Pose(),
         folder=file.parent,
     )
 
@@ -226,7 +262,11 @@ def _posture(postures: Fields, name: str) -> PostureDescription:
         raise fields.error(None, f"must hold exactly one of: joints, actuators; got {given}")
     key = next(iter(fields.data))
     values = fields.named_numbers(key)
-    return PostureDescription(joints=values) if key == "joints" else PostureDescription(actuators=values)
+    return (
+        PostureDescription(joints=values)
+        if key == "joints"
+        else PostureDescription(actuators=values)
+    )
 
 
 def _actuation(top: Fields) -> dict[str, Actuation]:
@@ -235,18 +275,29 @@ def _actuation(top: Fields) -> dict[str, Actuation]:
     for joint in outer.data:
         drive = outer.sub(str(joint))
         drive.check_names(("kp", "force", "damping", "armature"), ("kp", "force"))
-        optional = {key: drive.number(key, minimum=0.0) for key in ("damping", "armature") if key in drive.data}
-        out[str(joint)] = Actuation(drive.number("kp", above=0.0), drive.number("force", above=0.0), **optional)
+        optional = {
+            key: drive.number(key, minimum=0.0)
+            for key in ("damping", "armature")
+            if key in drive.data
+        }
+        out[str(joint)] = Actuation(
+            drive.number("kp", above=0.0), drive.number("force", above=0.0), **optional
+        )
     return out
 
 
 def _fingers(top: Fields) -> tuple[tuple[str, ...], ...]:
     value = top.data["fingers"]
     groups = value if isinstance(value, list) else []
-    good = all(isinstance(group, list) and group and all(isinstance(link, str) for link in group) for group in groups)
+    good = all(
+        isinstance(group, list) and group and all(isinstance(link, str) for link in group)
+        for group in groups
+    )
     if len(groups) < 2 or not good:
         raise top.error(
-            "fingers", f"must be at least two lists of link names, opposing groups, the first on -X; got {value!r}"
+            "fingers",
+            "must be at least two lists of link names, opposing groups, the first on -X; got "
+            f"{value!r}",
         )
     flat = [link for group in groups for link in group]
     twice = sorted({link for link in flat if flat.count(link) > 1})

@@ -38,7 +38,9 @@ class Fields:
         names = list(valid)
         unknown = [str(key) for key in self.data if key not in names]
         if unknown:
-            raise self.error(None, f"has an unknown field '{unknown[0]}'; valid fields: {', '.join(names)}")
+            raise self.error(
+                None, f"has an unknown field '{unknown[0]}'; valid fields: {', '.join(names)}"
+            )
         missing = [name for name in required if name not in self.data]
         if missing:
             raise self.error(
@@ -66,7 +68,9 @@ class Fields:
             raise self.error(field, f"must be a whole number of at least {minimum}, got {value!r}")
         return value
 
-    def number(self, field: str, minimum: float | None = None, above: float | None = None) -> float:
+    def number(
+        self, field: str, minimum: float | None = None, above: float | None = None
+    ) -> float:
         """Return a finite float, `>= minimum` and `> above` where given."""
         value = _finite(self.data[field])
         if value is None:
@@ -91,8 +95,9 @@ class Fields:
         norm = math.sqrt(x * x + y * y + z * z + w * w)
         if abs(norm - 1.0) > QUATERNION_TOLERANCE:
             raise self.error(
-                field, f"must be a unit quaternion [x, y, z, w], got [{x:g}, {y:g}, {z:g}, {w:g}] "
-                f"of norm {norm:.4g}"
+                field,
+                f"must be a unit quaternion [x, y, z, w], got [{x:g}, {y:g}, {z:g}, {w:g}] "
+                f"of norm {norm:.4g}",
             )
         return x, y, z, w
 

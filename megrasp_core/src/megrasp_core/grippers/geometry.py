@@ -16,7 +16,9 @@ SECTIONS = 24
 
 @dataclass(frozen=True)
 class BodyMesh:
-    """Mesh of one geom in the frame of its body: vertices (V, 3) in metres, faces (F, 3), the body's id."""
+    """Mesh of one geom in the frame of its body: vertices (V, 3) in metres, faces (F, 3), the
+    body's id.
+    """
 
     body: int
     vertices: NDArray[np.float64]
@@ -24,7 +26,9 @@ class BodyMesh:
 
 
 def body_meshes(model: mujoco.MjModel, which: str) -> list[BodyMesh]:
-    """Return the meshes of all geoms, `which` is "visual" or "collision" (mesh geoms collide as convex hulls)."""
+    """Return the meshes of all geoms, `which` is "visual" or "collision" (mesh geoms collide as
+    convex hulls).
+    """
     group = VISUAL_GROUP if which == "visual" else COLLISION_GROUP
     out = []
     for index in np.flatnonzero(model.geom_group == group):
@@ -34,12 +38,16 @@ def body_meshes(model: mujoco.MjModel, which: str) -> list[BodyMesh]:
         rotation = np.zeros(9)
         mujoco.mju_quat2Mat(rotation, model.geom_quat[index])
         vertices = np.asarray(mesh.vertices) @ rotation.reshape(3, 3).T + model.geom_pos[index]
-        out.append(BodyMesh(int(model.geom_bodyid[index]), vertices, np.asarray(mesh.faces, np.int64)))
+        out.append(
+            BodyMesh(int(model.geom_bodyid[index]), vertices, np.asarray(mesh.faces, np.int64))
+        )
     return out
 
 
 def body_poses(model: mujoco.MjModel, qpos: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return gripper_from_body (nbody, 4, 4) for joint positions (nq,); the model's root is the gripper frame."""
+    """Return gripper_from_body (nbody, 4, 4) for joint positions (nq,); the model's root is the
+    gripper frame.
+    """
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
@@ -67,7 +75,9 @@ def _geom_mesh(model: mujoco.MjModel, index: int, hull: bool) -> trimesh.Trimesh
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
         return trimesh.creation.cylinder(radius=size[0], height=2.0 * size[1], sections=SECTIONS)
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        mesh = trimesh.creation.capsule(height=2.0 * size[1], radius=size[0], count=[SECTIONS, SECTIONS])
+        mesh = trimesh.creation.capsule(
+            height=2.0 * size[1], radius=size[0], count=[SECTIONS, SECTIONS]
+        )
         mesh.apply_translation(-mesh.bounds.mean(axis=0))
         return mesh
     if kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID):

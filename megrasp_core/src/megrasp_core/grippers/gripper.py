@@ -29,10 +29,12 @@ TOKEN_CLOUD = 1024
 
 
 class Gripper:
-    """A gripper ready for rendering, simulation and the network. Frames and words: DESIGN section 2.
+    """A gripper ready for rendering, simulation and the network. Frames and words: DESIGN section
+    2.
 
-    Loading compiles the model and checks the whole description, so a Gripper that exists is valid. Results that cost
-    time are kept on the instance; it holds no other state and may be shared between threads that only read.
+    Loading compiles the model and checks the whole description, so a Gripper that exists is valid.
+    Results that cost time are kept on the instance; it holds no other state and may be shared
+    between threads that only read.
 
     Raises:
         DescriptionError: model, joints, actuators, links or postures do not fit each other.
@@ -42,7 +44,9 @@ class Gripper:
         self.description = description
         self._spec = build_spec(description)
         self.model: mujoco.MjModel = compile_spec(self._spec, description)
-        self._postures = {name: resolve_posture(self.model, description, name) for name in POSTURES}
+        self._postures = {
+            name: resolve_posture(self.model, description, name) for name in POSTURES
+        }
         self._clouds = lru_cache(maxsize=8)(self._make_clouds)
         self._tokens = lru_cache(maxsize=8)(self._make_tokens)
         self._collision_points = lru_cache(maxsize=4)(self._make_collision_points)
@@ -85,7 +89,9 @@ class Gripper:
 
     @cached_property
     def hash(self) -> str:
-        """Hash of the description and of every file of its model; comments and the folder's place do not count."""
+        """Hash of the description and of every file of its model; comments and the folder's place
+        do not count.
+        """
         digest = hashlib.sha256(json.dumps(self.description.to_dict(), sort_keys=True).encode())
         for file in self.model_files():
             digest.update(file.read_bytes())
@@ -100,7 +106,9 @@ class Gripper:
         return [path, *sorted(file for file in meshes if file.is_file())]
 
     def spec(self) -> mujoco.MjSpec:
-        """Return a fresh copy of the model; the frame of its root body "gripper" is the gripper frame."""
+        """Return a fresh copy of the model; the frame of its root body "gripper" is the gripper
+        frame.
+        """
         return self._spec.copy()
 
     def control(self, posture: str) -> NDArray[np.float64]:
@@ -122,7 +130,9 @@ class Gripper:
     def meshes(
         self, posture: str, which: str = "visual"
     ) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
-        """Return (vertices (V, 3), faces (F, 3)) of every visual or collision geom in the gripper frame."""
+        """Return (vertices (V, 3), faces (F, 3)) of every visual or collision geom in the gripper
+        frame.
+        """
         return posed(self.body_meshes(which), self.body_poses(posture))
 
     def body_meshes(self, which: str = "visual") -> list[BodyMesh]:
@@ -136,32 +146,45 @@ class Gripper:
         return self._clouds(count, seed)
 
     def tokens(self, count: int = 32, seed: int = 0) -> GripperTokens:
-        """Return the network's view of the gripper: `count` open and `count` closed points in TCP coordinates."""
+        """Return the network's view of the gripper: `count` open and `count` closed points in TCP
+        coordinates.
+        """
         return self._tokens(count, seed)
 
-    def collision_points(self, spacing: float = 0.005) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Return points (M, 3) on the open posture's collision surface and their finger group (M,), -1 for the palm."""
+    def collision_points(
+        self, spacing: float = 0.005
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Return points (M, 3) on the open posture's collision surface and their finger group
+        (M,), -1 for the palm.
+        """
         return self._collision_points(spacing)
 
     def pad_points(self, posture: str, group: int, spacing: float = 0.004) -> NDArray[np.float64]:
-        """Return collision surface points (M, 3) of one finger group in a posture, gripper frame."""
+        """Return collision surface points (M, 3) of a finger group in a posture, gripper frame."""
         meshes = self.body_meshes("collision")
         groups = self.finger_groups[[mesh.body for mesh in meshes]]
         poses = self.body_poses(posture)
         chosen = [mesh for mesh, owner in zip(meshes, groups, strict=True) if owner == group]
         if not chosen:
             raise InvalidRequestError(
-                f"finger group {group} has no collision geometry; groups: 0 to {len(self.description.fingers) - 1}"
+                f"finger group {group} has no collision geometry; groups: 0 to "
+                f"{len(self.description.fingers) - 1}"
             )
         return surface_points(posed(chosen, poses), spacing).points
 
     @cached_property
     def finger_groups(self) -> NDArray[np.int64]:
-        """Finger group (nbody,) of every body of `self.model`: its own or that of the nearest parent, else -1."""
+        """Finger group (nbody,) of every body of `self.model`: its own or that of the nearest
+        parent, else -1.
+        """
         groups = np.full(self.model.nbody, -1, np.int64)
-        named = {link: index for index, links in enumerate(self.description.fingers) for link in links}
+        named = {
+            link: index for index, links in enumerate(self.description.fingers) for link in links
+        }
         for body in range(1, self.model.nbody):
-            groups[body] = named.get(self.model.body(body).name, groups[self.model.body_parentid[body]])
+            groups[body] = named.get(
+                self.model.body(body).name, groups[self.model.body_parentid[body]]
+            )
         return groups
 
     @cached_property
@@ -174,22 +197,32 @@ class Gripper:
 
     def _posture(self, name: str) -> Posture:
         if name not in self._postures:
-            raise InvalidRequestError(f"posture is {name!r}; expected one of {', '.join(POSTURES)}")
+            raise InvalidRequestError(
+                f"posture is {name!r}; expected one of {', '.join(POSTURES)}"
+            )
         return self._postures[name]
 
     def _make_clouds(self, count: int, seed: int) -> GripperClouds:
         if count < 1:
             raise InvalidRequestError(f"count is {count}; expected at least 1 point")
         return make_clouds(
-            self.body_meshes("visual"), self.body_poses("open"), self.body_poses("closed"), count, seed
+            self.body_meshes("visual"),
+            self.body_poses("open"),
+            self.body_poses("closed"),
+            count,
+            seed,
         )
 
     def _make_tokens(self, count: int, seed: int) -> GripperTokens:
         if not 1 <= count <= TOKEN_CLOUD // 2:
-            raise InvalidRequestError(f"count is {count}; expected 1 to {TOKEN_CLOUD // 2} tokens a posture")
+            raise InvalidRequestError(
+                f"count is {count}; expected 1 to {TOKEN_CLOUD // 2} tokens a posture"
+            )
         return make_tokens(self.clouds(TOKEN_CLOUD, seed), self.description.tcp, count)
 
-    def _make_collision_points(self, spacing: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    def _make_collision_points(
+        self, spacing: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         if spacing <= 0.0:
             raise InvalidRequestError(f"spacing is {spacing}; expected more than 0 m")
         meshes = self.body_meshes("collision")

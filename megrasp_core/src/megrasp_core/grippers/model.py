@@ -1,8 +1,10 @@
-"""Loading of URDF and MJCF models through `mujoco.MjSpec`, brought to one form for simulation and rendering.
+"""Loading of URDF and MJCF models through `mujoco.MjSpec`, brought to one form for simulation and
+rendering.
 
-The form: a root body "gripper" whose frame is the gripper frame; visual geoms in group 2 without contacts; collision
-geoms in group 3 with contact bits that never meet another geom of the gripper; every joint that `actuation` names
-driven by a position actuator; gravity compensated. The lessons behind the numbers are in docs (simulation).
+The form: a root body "gripper" whose frame is the gripper frame; visual geoms in group 2 without
+contacts; collision geoms in group 3 with contact bits that never meet another geom of the gripper;
+every joint that `actuation` names driven by a position actuator; gravity compensated. The lessons
+behind the numbers are in docs (simulation).
 """
 
 from __future__ import annotations
@@ -25,28 +27,36 @@ VISUAL_GROUP = 2
 COLLISION_GROUP = 3
 CONTACT_TYPE = 2
 CONTACT_AFFINITY = 1
-# Contact stiffness of the fingers counts against every object (solmix), friction is left to the object: MuJoCo takes
-# the larger of the two coefficients, so the gripper's own must be small.
+# Contact stiffness of the fingers counts against every object (solmix), friction is left to the
+# object: MuJoCo takes the larger of the two coefficients, so the gripper's own must be small.
 SOLREF = (0.004, 1.0)
 SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
 SOLMIX = 1000.0
-FRICTION = (0.05, 0.001, 0.0001)
+FRICTION = (0.01, 0.0001, 0.00001)
+COUPLING_SOLREF = (0.005, 1.0)
+URDF_ARMATURE = 0.001
 
 _log = logging.getLogger(__name__)
 
 
 def build_spec(description: GripperDescription) -> mujoco.MjSpec:
-    """Return the wrapped model of a description. Raises DescriptionError when it cannot be read or does not fit."""
+    """Return the wrapped model of a description. Raises DescriptionError when it cannot be read or
+    does not fit.
+    """
     path = description.model_path
     try:
         child = mujoco.MjSpec.from_file(str(path))
     except (ValueError, mujoco.FatalError) as error:
-        raise DescriptionError(f"{description.file}: cannot read the model {path}: {error}") from error
+        raise DescriptionError(
+            f"{description.file}: cannot read the model {path}: {error}"
+        ) from error
     child.compiler.fusestatic = False
     child.compiler.discardvisual = False
     _strip(child)
     _name_joints(child, description)
     _prepare_geoms(child)
+    if path.suffix.lower() == ".urdf":
+        _steady_urdf(child)
     apply_actuation(child, description)
     wrapped = _wrap(child, description)
     _check_bodies(wrapped, description)
@@ -72,11 +82,14 @@ def _strip(spec: mujoco.MjSpec) -> None:
 
 
 def _name_joints(spec: mujoco.MjSpec, description: GripperDescription) -> None:
-    """Give unnamed joints a name, clear URDF effort clamps, refuse joints that are not hinge or slide."""
+    """Give unnamed joints a name, clear URDF effort clamps, refuse joints that are not hinge or
+    slide.
+    """
     for index, joint in enumerate(spec.joints):
         if joint.type not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
             raise DescriptionError(
-                f"{description.file}: the model has a joint '{joint.name}' that is neither hinge nor slide; "
+                f"{description.file}: the model has a joint '{joint.name}' that is neither hinge "
+                "nor slide; "
                 "remove free and ball joints from the gripper's model"
             )
         joint.name = joint.name or f"joint_{index}"
@@ -84,7 +97,9 @@ def _name_joints(spec: mujoco.MjSpec, description: GripperDescription) -> None:
 
 
 def _prepare_geoms(spec: mujoco.MjSpec) -> None:
-    """Split geoms into visual and collision ones; a body with collision geoms alone shows copies of them."""
+    """Split geoms into visual and collision ones; a body with collision geoms alone shows copies
+    of them.
+    """
     for body in spec.bodies:
         solid = [geom for geom in body.geoms if geom.contype or geom.conaffinity]
         shown = [geom for geom in body.geoms if not (geom.contype or geom.conaffinity)]
@@ -93,7 +108,11 @@ def _prepare_geoms(spec: mujoco.MjSpec) -> None:
         for geom in shown:
             geom.contype, geom.conaffinity, geom.group = 0, 0, VISUAL_GROUP
         for geom in solid:
-            geom.contype, geom.conaffinity, geom.group = CONTACT_TYPE, CONTACT_AFFINITY, COLLISION_GROUP
+            geom.contype, geom.conaffinity, geom.group = (
+                CONTACT_TYPE,
+                CONTACT_AFFINITY,
+                COLLISION_GROUP,
+            )
             geom.condim, geom.priority, geom.solmix = 4, 0, SOLMIX
             geom.solref, geom.solimp, geom.friction = SOLREF, SOLIMP, FRICTION
             geom.margin, geom.gap = 0.0, 0.0
@@ -102,20 +121,37 @@ def _prepare_geoms(spec: mujoco.MjSpec) -> None:
 
 def _copy_geom(body: mujoco.MjsBody, geom: mujoco.MjsGeom) -> mujoco.MjsGeom:
     """Add a massless copy of the shape of `geom` to its body."""
-    return body.add_geom(
-        type=geom.type, size=geom.size, pos=geom.pos, quat=geom.quat, fromto=geom.fromto, meshname=geom.meshname,
-        rgba=geom.rgba, material=geom.material, mass=0.0,
-    )  # fmt: skip
+    copy = body.add_geom(
+        type=geom.type,
+        size=geom.size,
+        pos=geom.pos,
+        quat=geom.quat,
+        fromto=geom.fromto,
+        meshname=geom.meshname,
+        rgba=geom.rgba,
+        material=geom.material,
+        mass=0.0,
+    )
+    # An orientation given as euler, axisangle, xyaxes or zaxis is kept apart from quat and wins
+    # over it.
+    for name in ("type", "axisangle", "euler", "xyaxes", "zaxis"):
+        setattr(copy.alt, name, getattr(geom.alt, name))
+    return copy
+
+
+def _steady_urdf(spec: mujoco.MjSpec) -> None:
+    """Add what a URDF cannot state: stiff mimic couplings, armature for light mimic links."""
+    for equality in spec.equalities:
+        equality.solref, equality.solimp = COUPLING_SOLREF, SOLIMP
+    for joint in spec.joints:
+        if joint.type == mujoco.mjtJoint.mjJNT_HINGE and joint.armature == 0.0:
+            joint.armature = URDF_ARMATURE
 
 
 def _wrap(child: mujoco.MjSpec, description: GripperDescription) -> mujoco.MjSpec:
-    """Put the model below a body "gripper", turned so that the body's frame is the gripper frame."""
+    """Put the model below a body "gripper" whose frame is the gripper frame."""
     spec = mujoco.MjSpec()
     spec.modelname = description.name
-    for name in ("integrator", "cone", "impratio"):
-        setattr(child.option, name, getattr(spec.option, name))
-    child.option.timestep = spec.option.timestep
-    child.option.noslip_iterations = spec.option.noslip_iterations
     mount = description.mount_from_model
     x, y, z, w = Rotation.from_quat(mount.quat).as_quat()
     root = spec.worldbody.add_body(name=ROOT_BODY, gravcomp=1.0)
@@ -133,7 +169,8 @@ def _wrap(child: mujoco.MjSpec, description: GripperDescription) -> mujoco.MjSpe
 def _quiet_mujoco() -> Iterator[None]:
     """Send MuJoCo's warnings to the log instead of stderr and a file in the working directory.
 
-    Attaching without a prefix warns about saving to XML; names without a prefix are what descriptions refer to.
+    Attaching without a prefix warns about saving to XML; names without a prefix are what
+    descriptions refer to.
     """
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda text: _log.debug("MuJoCo: %s", text))
@@ -149,6 +186,7 @@ def _check_bodies(spec: mujoco.MjSpec, description: GripperDescription) -> None:
         for link in group:
             if link not in names:
                 raise DescriptionError(
-                    f"{description.file}: 'fingers' names the link '{link}', which the model does not have; valid "
+                    f"{description.file}: 'fingers' names the link '{link}', which the model "
+                    "does not have; valid "
                     f"links: {', '.join(names)}"
                 )

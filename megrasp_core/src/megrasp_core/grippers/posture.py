@@ -1,7 +1,10 @@
-"""Postures: joint positions of a description checked and completed, controls settled in simulation."""
+"""Postures: joint positions of a description checked and completed, controls settled in
+simulation.
+"""
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import mujoco
@@ -15,11 +18,14 @@ from megrasp_core.grippers.description import GripperDescription, PostureDescrip
 LIMIT_TOLERANCE = 1e-4
 SETTLE_TIME = 2.0
 REST_SPEED = 1e-4
+SETTLE_DAMPING = 10.0
 
 
 @dataclass(frozen=True)
 class Posture:
-    """A posture of the compiled model: all joint positions by name, qpos (nq,), control (nu,) that holds it."""
+    """A posture of the compiled model: all joint positions by name, qpos (nq,), control (nu,) that
+    holds it.
+    """
 
     joints: dict[str, float]
     qpos: NDArray[np.float64]
@@ -27,7 +33,9 @@ class Posture:
 
 
 def resolve_posture(model: mujoco.MjModel, description: GripperDescription, name: str) -> Posture:
-    """Return the posture "open" or "closed". Raises DescriptionError (unknown or missing joint, outside limits)."""
+    """Return the posture "open" or "closed". Raises DescriptionError (unknown or missing joint,
+    outside limits).
+    """
     given: PostureDescription = getattr(description, name)
     where = f"{description.file}: 'postures.{name}"
     if given.joints is not None:
@@ -41,7 +49,9 @@ def resolve_posture(model: mujoco.MjModel, description: GripperDescription, name
 
 
 def start_qpos(model: mujoco.MjModel) -> NDArray[np.float64]:
-    """Return the model's default positions (nq,) clipped to the joint limits, where a default may lie outside."""
+    """Return the model's default positions (nq,) clipped to the joint limits, where a default may
+    lie outside.
+    """
     qpos = model.qpos0.copy()
     limited = model.jnt_limited.astype(bool)
     adr = model.jnt_qposadr[limited]
@@ -50,7 +60,12 @@ def start_qpos(model: mujoco.MjModel) -> NDArray[np.float64]:
 
 
 def settle(model: mujoco.MjModel, control: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Drive the gripper with `control` (nu,) until it rests, gravity compensated; return qpos (nq,)."""
+    """Drive the gripper with `control` (nu,) until it rests, gravity compensated; return qpos.
+
+    Damping in proportion to inertia is added for this, so that models without any come to rest.
+    """
+    model = copy.copy(model)
+    model.dof_damping += SETTLE_DAMPING * model.dof_M0
     data = mujoco.MjData(model)
     data.qpos[:] = start_qpos(model)
     data.ctrl[:] = control
@@ -62,21 +77,25 @@ def settle(model: mujoco.MjModel, control: NDArray[np.float64]) -> NDArray[np.fl
     return data.qpos.copy()
 
 
-def _from_joints(model: mujoco.MjModel, given: PostureDescription, where: str) -> NDArray[np.float64]:
+def _from_joints(
+    model: mujoco.MjModel, given: PostureDescription, where: str
+) -> NDArray[np.float64]:
     names = [model.joint(i).name for i in range(model.njnt)]
     qpos = start_qpos(model)
     known: set[str] = set()
     for name, value in (given.joints or {}).items():
         if name not in names:
             raise DescriptionError(
-                f"{where}.joints' names the joint '{name}', which the model does not have; valid joints: "
+                f"{where}.joints' names the joint '{name}', which the model does not have; valid "
+                "joints: "
                 f"{', '.join(names)}"
             )
         joint = model.joint(name)
         low, high = joint.range
         if joint.limited[0] and not low - LIMIT_TOLERANCE <= value <= high + LIMIT_TOLERANCE:
             raise DescriptionError(
-                f"{where}.joints.{name}' is {value:g}, outside the joint's limits {low:g} to {high:g}"
+                f"{where}.joints.{name}' is {value:g}, outside the joint's limits {low:g} to "
+                f"{high:g}"
             )
         qpos[joint.qposadr[0]] = value
         known.add(name)
@@ -84,15 +103,22 @@ def _from_joints(model: mujoco.MjModel, given: PostureDescription, where: str) -
     missing = [name for name in names if name not in known]
     if missing:
         raise DescriptionError(
-            f"{where}.joints' lacks the joint{'s' if len(missing) > 1 else ''} {', '.join(missing)}; a posture gives "
+            f"{where}.joints' lacks the joint{'s' if len(missing) > 1 else ''} "
+            f"{', '.join(missing)}; a posture gives "
             "every joint that no joint coupling (mimic) derives, or uses actuators"
         )
     return qpos
 
 
 def _follow_couplings(model: mujoco.MjModel, qpos: NDArray[np.float64], known: set[str]) -> None:
-    """Fill in joints that a joint equality derives from known ones, in place, until nothing changes."""
-    pairs = [i for i in range(model.neq) if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT and model.eq_active0[i]]
+    """Fill in joints that a joint equality derives from known ones, in place, until nothing
+    changes.
+    """
+    pairs = [
+        i
+        for i in range(model.neq)
+        if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT and model.eq_active0[i]
+    ]
     changed = True
     while changed:
         changed = False
@@ -104,10 +130,14 @@ def _follow_couplings(model: mujoco.MjModel, qpos: NDArray[np.float64], known: s
             offset_a = model.qpos0[model.jnt_qposadr[first]]
             if a not in known and (b is None or b in known):
                 x = 0.0 if b is None else _offset(model, qpos, second)
-                qpos[model.jnt_qposadr[first]] = offset_a + float(np.polynomial.polynomial.polyval(x, poly))
+                qpos[model.jnt_qposadr[first]] = offset_a + float(
+                    np.polynomial.polynomial.polyval(x, poly)
+                )
                 known.add(a)
                 changed = True
-            elif b is not None and a in known and b not in known and poly[1] and not poly[2:].any():
+            elif (
+                b is not None and a in known and b not in known and poly[1] and not poly[2:].any()
+            ):
                 x = (_offset(model, qpos, first) - poly[0]) / poly[1]
                 qpos[model.jnt_qposadr[second]] = model.qpos0[model.jnt_qposadr[second]] + x
                 known.add(b)
@@ -129,14 +159,19 @@ def _control(model: mujoco.MjModel, given: PostureDescription, where: str) -> ND
     for name, value in (given.actuators or {}).items():
         if name not in names:
             raise DescriptionError(
-                f"{where}.actuators' names the actuator '{name}', which the model does not have; valid actuators: "
+                f"{where}.actuators' names the actuator '{name}', which the model does not have; "
+                "valid actuators: "
                 f"{', '.join(names) or '(none)'}"
             )
         index = names.index(name)
         bottom, top = model.actuator_ctrlrange[index]
-        if model.actuator_ctrllimited[index] and not bottom - LIMIT_TOLERANCE <= value <= top + LIMIT_TOLERANCE:
+        if (
+            model.actuator_ctrllimited[index]
+            and not bottom - LIMIT_TOLERANCE <= value <= top + LIMIT_TOLERANCE
+        ):
             raise DescriptionError(
-                f"{where}.actuators.{name}' is {value:g}, outside the control range {bottom:g} to {top:g}"
+                f"{where}.actuators.{name}' is {value:g}, outside the control range {bottom:g} "
+                f"to {top:g}"
             )
         control[index] = value
     return control

@@ -18,8 +18,9 @@ PATH_VARIABLE = "MEGRASP_GRIPPER_PATH"
 def search_folders(extra_paths: Iterable[str | Path] = ()) -> list[Path]:
     """Return the folders that are searched, first match wins.
 
-    In this order: `extra_paths`, `MEGRASP_GRIPPER_PATH`, `share/gripper_descriptions` of every colcon prefix
-    (`AMENT_PREFIX_PATH`), that of the Python prefix, `gripper_descriptions` of the checkout.
+    In this order: `extra_paths`, `MEGRASP_GRIPPER_PATH`, `share/gripper_descriptions` of every
+    colcon prefix (`AMENT_PREFIX_PATH`), that of the Python prefix, `gripper_descriptions` of the
+    checkout.
     """
     folders = [Path(path) for path in extra_paths]
     folders += [Path(path) for path in os.environ.get(PATH_VARIABLE, "").split(":") if path]
@@ -62,7 +63,8 @@ def load_gripper(name_or_folder: str | Path, extra_paths: Iterable[str | Path] =
         gripper = Gripper.from_path(folders[name])
         if gripper.name != name:
             raise DescriptionError(
-                f"{gripper.description.file}: 'name' is '{gripper.name}', but the folder, which is the registered "
+                f"{gripper.description.file}: 'name' is '{gripper.name}', but the folder, which "
+                "is the registered "
                 f"name, is called '{name}'; make them the same"
             )
         return gripper

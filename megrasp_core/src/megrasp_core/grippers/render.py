@@ -1,4 +1,6 @@
-"""The renderer: outer surface of a posed gripper by casting rays at it from all around (DESIGN section 4)."""
+"""The renderer: outer surface of a posed gripper by casting rays at it from all around (DESIGN
+section 4).
+"""
 
 from __future__ import annotations
 
@@ -14,11 +16,15 @@ Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]
 DIRECTIONS = 40
 OVERSAMPLING = 4
 STAND_OFF = 1e-4
+STEEP = 6
+GRAZING = 0.05
 
 
 @dataclass(frozen=True)
 class SurfaceSample:
-    """Outer surface points (N, 3), outward unit normals (N, 3), index (N,) of the mesh each point lies on."""
+    """Outer surface points (N, 3), outward unit normals (N, 3), index (N,) of the mesh each point
+    lies on.
+    """
 
     points: NDArray[np.float64]
     normals: NDArray[np.float64]
@@ -26,7 +32,8 @@ class SurfaceSample:
 
 
 def render_cloud(meshes: Sequence[Mesh], count: int, seed: int) -> SurfaceSample:
-    """Return `count` evenly spread points of the outer surface; the same seed gives the same points.
+    """Return `count` evenly spread points of the outer surface; the same seed gives the same
+    points.
 
     Args:
         meshes: (vertices (V, 3), faces (F, 3)) of the posed geoms, metres.
@@ -38,7 +45,9 @@ def render_cloud(meshes: Sequence[Mesh], count: int, seed: int) -> SurfaceSample
     """
     sample = visible(meshes, draw(meshes, OVERSAMPLING * count, seed))
     while len(sample.points) < count:
-        extra = visible(meshes, draw(meshes, 2 * OVERSAMPLING * count, seed + len(sample.points) + 1))
+        extra = visible(
+            meshes, draw(meshes, 2 * OVERSAMPLING * count, seed + len(sample.points) + 1)
+        )
         sample = SurfaceSample(
             np.concatenate([sample.points, extra.points]),
             np.concatenate([sample.normals, extra.normals]),
@@ -59,46 +68,73 @@ def take(sample: SurfaceSample, index: NDArray[np.int64] | NDArray[np.bool_]) ->
 
 
 def draw(meshes: Sequence[Mesh], count: int, seed: int) -> SurfaceSample:
-    """Draw `count` points on all triangles, area weighted, with the triangles' normals as they are wound."""
+    """Draw `count` points on all triangles, area weighted, with the triangles' normals as they are
+    wound.
+    """
     triangles = np.concatenate([vertices[faces] for vertices, faces in meshes])
     owner = np.repeat(np.arange(len(meshes)), [len(faces) for _, faces in meshes])
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     area = np.linalg.norm(cross, axis=1)
     if not len(area) or area.sum() <= 0.0:
-        raise ValueError("the gripper has no surface to render; expected at least one mesh with an area")
+        raise ValueError(
+            "the gripper has no surface to render; expected at least one mesh with an area"
+        )
     rng = np.random.default_rng(seed)
-    # Stratified draw: evenly spaced along the cumulative area, so that small parts get their share every time.
+    # Stratified draw: evenly spaced along the cumulative area, so that small parts get their share
+    # every time.
     edges = np.cumsum(area) / area.sum()
     ticks = (np.arange(count) + rng.random(count)) / count
     chosen = np.minimum(np.searchsorted(edges, ticks), len(area) - 1)
     root, v = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
     corner = triangles[chosen]
-    points = (1.0 - root) * corner[:, 0] + root * (1.0 - v) * corner[:, 1] + root * v * corner[:, 2]
-    return SurfaceSample(points, cross[chosen] / np.maximum(area[chosen, None], 1e-30), owner[chosen])
+    points = (
+        (1.0 - root) * corner[:, 0] + root * (1.0 - v) * corner[:, 1] + root * v * corner[:, 2]
+    )
+    return SurfaceSample(
+        points, cross[chosen] / np.maximum(area[chosen, None], 1e-30), owner[chosen]
+    )
 
 
 def visible(meshes: Sequence[Mesh], sample: SurfaceSample) -> SurfaceSample:
-    """Keep the points that a ray from outside reaches; turn their normals towards where they were seen from.
+    """Keep the points that a ray from outside reaches; turn their normals towards where they were
+    seen from.
 
-    For each direction a ray leaves the point to the outside (the reverse of a camera's ray at it); a point whose
-    every ray is stopped by the gripper itself is inside.
+    For each direction a ray leaves the point to the outside (the reverse of a camera's ray at it);
+    a point whose every ray is stopped by the gripper itself is inside.
     """
     scene = raycasting_scene(meshes)
     directions = sphere_directions(DIRECTIONS)
+    cosine = sample.normals @ directions.T
+    # Most points are seen along directions near their normal; the others need every direction.
+    steep = np.argpartition(-cosine, STEEP, axis=1)[:, :STEEP]
+    point = np.repeat(np.arange(len(steep)), STEEP)
+    seen = np.zeros(len(steep), bool)
+    free = _escapes(scene, sample, point, directions[steep.ravel()], np.ones(len(point)))
+    seen[point[free]] = True
     normals = sample.normals.copy()
-    votes = np.zeros(len(normals), np.int64)
-    seen = np.zeros(len(normals), bool)
-    cosine = normals @ directions.T
-    usable = np.abs(cosine) > 0.05
-    point, direction = np.nonzero(usable)
-    side = np.sign(cosine[point, direction])
-    origins = sample.points[point] + STAND_OFF * side[:, None] * normals[point]
-    rays = np.concatenate([origins, directions[direction]], axis=1).astype(np.float32)
-    free = ~scene.test_occlusions(o3d.core.Tensor(rays)).numpy()
-    np.logical_or.at(seen, point[free], True)
+    left = np.flatnonzero(~seen)
+    row, column = np.nonzero(np.abs(cosine[left]) > GRAZING)
+    point = left[row]
+    side = np.sign(cosine[point, column])
+    free = _escapes(scene, sample, point, directions[column], side)
+    votes = np.zeros(len(seen), np.int64)
     np.add.at(votes, point[free], side[free].astype(np.int64))
+    seen[point[free]] = True
     normals[votes < 0] *= -1.0
     return take(SurfaceSample(sample.points, normals, sample.mesh), seen)
+
+
+def _escapes(
+    scene: o3d.t.geometry.RaycastingScene,
+    sample: SurfaceSample,
+    point: NDArray[np.int64],
+    direction: NDArray[np.float64],
+    side: NDArray[np.float64],
+) -> NDArray[np.bool_]:
+    """Return which rays (K,) from just off the surface, on the given side of it, hit nothing."""
+    origin = sample.points[point] + STAND_OFF * side[:, None] * sample.normals[point]
+    rays = np.concatenate([origin, direction], axis=1).astype(np.float32)
+    return ~scene.test_occlusions(o3d.core.Tensor.from_numpy(rays)).numpy()
 
 
 def raycasting_scene(meshes: Sequence[Mesh]) -> o3d.t.geometry.RaycastingScene:
@@ -106,8 +142,8 @@ def raycasting_scene(meshes: Sequence[Mesh]) -> o3d.t.geometry.RaycastingScene:
     scene = o3d.t.geometry.RaycastingScene(nthreads=1)
     for vertices, faces in meshes:
         scene.add_triangles(
-            o3d.core.Tensor(np.ascontiguousarray(vertices, np.float32)),
-            o3d.core.Tensor(np.ascontiguousarray(faces, np.uint32)),
+            o3d.core.Tensor.from_numpy(np.ascontiguousarray(vertices, np.float32)),
+            o3d.core.Tensor.from_numpy(np.ascontiguousarray(faces, np.uint32)),
         )
     return scene
 

@@ -1,4 +1,6 @@
-"""How symmetric a gripper is about its approach axis (DESIGN section 4: the residual is measured, not assumed)."""
+"""How symmetric a gripper is about its approach axis (DESIGN section 4: the residual is measured,
+not assumed).
+"""
 
 from __future__ import annotations
 
@@ -13,11 +15,14 @@ from megrasp_core.grippers.gripper import Gripper
 WARNING_RESIDUAL = 0.003
 
 
-def symmetry_residual(gripper: Gripper, order: int | None = None, count: int = 1024, seed: int = 0) -> float:
-    """Return how far the open gripper is from itself after the 1/order turn about +Z through the TCP, metres.
+def symmetry_residual(
+    gripper: Gripper, order: int | None = None, count: int = 1024, seed: int = 0
+) -> float:
+    """Return how far the open gripper is from itself after the 1/order turn about +Z through the
+    TCP, metres.
 
-    The open cloud is turned and its distance to the surface taken, 95th percentile. `order` defaults to the
-    description's `symmetry`; order 1 gives 0.
+    The open cloud is turned and its distance to the surface taken, 95th percentile. `order`
+    defaults to the description's `symmetry`; order 1 gives 0.
     """
     order = gripper.description.symmetry if order is None else order
     if order == 1:

@@ -20,7 +20,7 @@ class Values(NamedTuple):
 
 
 def series_form(angle: Tensor, sigma: Tensor, terms: int) -> Values:
-    """Character expansion; sin((l+1/2)w)/sin(w/2) = 1 + 2 sum_{k<=l} cos kw avoids 0/0 at w = 0."""
+    """Character expansion; sin((l+1/2)w)/sin(w/2) = 1 + 2 sum_{k<=l} cos kw: no 0/0 at w = 0."""
     degree = torch.arange(terms, dtype=torch.float64, device=angle.device)
     exponent = -0.5 * degree * (degree + 1) * (sigma * sigma)[..., None]
     weight = (2 * degree + 1) * exponent.exp()

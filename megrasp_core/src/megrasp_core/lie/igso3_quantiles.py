@@ -1,9 +1,8 @@
 """Quantiles of the isotropic Gaussian's angle on SO(3), for sampling.
 
 A standard Gaussian 3-vector g has a Maxwell-distributed norm m. The monotone map that carries the
-Maxwell distribution to that of the angle turns g into a rotation vector. Near m = 0 and for small
-sigma the map is sigma m, so what is tabulated is the smooth ratio angle / (sigma m) over (log
-sigma, m).
+Maxwell distribution to that of the angle turns g into a rotation vector. For small sigma the map
+is sigma m, so what is tabulated is the smooth angle / sigma over (log sigma, m).
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from torch import Tensor
 from megrasp_core.lie.igso3_forms import series_form, small_form
 
 LOWEST_SIGMA = 0.01
-"""Below, the ratio of this sigma serves; it differs from its limit 1 by less than 1e-5."""
+"""Below, its quantiles over sigma serve; they differ from their limit by less than 1e-5."""
 HIGHEST_SIGMA = 4.0
 """Above, the distribution is uniform over rotations to 1e-6."""
 _ROWS = 257
@@ -31,7 +30,7 @@ def angle_ratio(norm: Tensor, sigma: Tensor) -> Tensor:
 
     Bilinear look-up. The table is a constant, computed at the first call for a dtype and device.
     """
-    table = _ratio_table(sigma.dtype, sigma.device)
+    table = _quantile_table(sigma.dtype, sigma.device)
     row = (sigma / LOWEST_SIGMA).log() * ((_ROWS - 1) / math.log(HIGHEST_SIGMA / LOWEST_SIGMA))
     row = row.clamp(0, _ROWS - 1)
     column = (norm * ((_COLUMNS - 1) / _HIGHEST_NORM)).clamp(0, _COLUMNS - 1)
@@ -42,13 +41,13 @@ def angle_ratio(norm: Tensor, sigma: Tensor) -> Tensor:
     upper = torch.lerp(table[corner], table[corner + 1], across)
     corner = corner + _COLUMNS
     lower = torch.lerp(table[corner], table[corner + 1], across)
-    ratio = torch.lerp(upper, lower, down) * sigma.clamp(max=HIGHEST_SIGMA)
-    return torch.minimum(ratio, math.pi / norm.clamp(min=1e-3))
+    angle = torch.lerp(upper, lower, down) * sigma.clamp(max=HIGHEST_SIGMA)
+    return angle.clamp(max=math.pi) / norm.clamp(min=1e-12)
 
 
 @functools.cache
-def _ratio_table(dtype: torch.dtype, device: torch.device) -> Tensor:
-    """The ratio angle / (sigma m), flat (rows * columns,)."""
+def _quantile_table(dtype: torch.dtype, device: torch.device) -> Tensor:
+    """The quantiles angle / sigma at the nodes, flat (rows * columns,)."""
     return _build_table().to(dtype=dtype, device=device)
 
 
@@ -81,8 +80,7 @@ def _build_table() -> Tensor:
     lower = _interpolate(below.pow(1 / 3), cdf.pow(1 / 3), angle)
     upper = _interpolate(-above, -survival, angle)
     quantile = torch.where(below < 0.5, lower, upper)
-    ratio = quantile[:, 1:] / (sigma[:, None] * norm[1:])
-    return torch.cat([ratio[:, :1], ratio], -1).reshape(-1)
+    return (quantile / sigma[:, None]).reshape(-1)
 
 
 def _interpolate(x: Tensor, knots: Tensor, values: Tensor) -> Tensor:

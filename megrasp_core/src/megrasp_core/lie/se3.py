@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from megrasp_core.lie import so3
+from megrasp_core.lie.precision import full_precision
 
 
 def make(rotation: Tensor, translation: Tensor) -> Tensor:
@@ -20,6 +21,7 @@ def make(rotation: Tensor, translation: Tensor) -> Tensor:
     return torch.cat([top, bottom.expand(*shape, 1, 4)], -2)
 
 
+@full_precision
 def inverse(pose: Tensor) -> Tensor:
     """Inverse motions (..., 4, 4): b_from_a of a_from_b."""
     rotation = pose[..., :3, :3].transpose(-1, -2)
@@ -54,6 +56,7 @@ def log(pose: Tensor) -> Tensor:
     return torch.cat([v, w], -1)
 
 
+@full_precision
 def adjoint(pose: Tensor) -> Tensor:
     """Adjoint matrices (..., 6, 6): exp(adjoint(T) @ xi) = T exp(xi) T^-1, xi = [v, w]."""
     rotation, translation = pose[..., :3, :3], pose[..., :3, 3]

@@ -9,6 +9,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from megrasp_core.lie.precision import full_precision
+
 # Below this squared angle the closed forms lose digits and their derivatives become 0/0; the
 # Taylor series to the order used is exact to float64 there.
 _SMALL = 1e-4
@@ -160,6 +162,7 @@ def quat_from_matrix(r: Tensor) -> Tensor:
     return torch.where(q[..., 3:] < 0, -q, q)
 
 
+@full_precision
 def orthonormalize(r: Tensor) -> Tensor:
     """Rotations (..., 3, 3) nearest to almost-rotations: one Newton step of the polar form.
 

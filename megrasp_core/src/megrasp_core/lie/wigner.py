@@ -53,7 +53,6 @@ def wigner_d(degree: int, rotation: Tensor) -> Tensor:
             f"got degree l = {degree}; expected 0, 1 or 2, the degrees of Megrasp's features"
         )
     q = _l2_basis(rotation.dtype, rotation.device)
-    # Element-wise up to the constant factors, so that autocast cannot round the rotations.
     kron = rotation[..., :, None, :, None] * rotation[..., None, :, None, :]
     kron = kron.reshape(*rotation.shape[:-2], 9, 9)
     with torch.autocast(rotation.device.type, enabled=False):

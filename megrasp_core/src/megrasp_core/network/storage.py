@@ -91,6 +91,7 @@ def load_model(
             "Restore both files from the same version."
         )
     result.info = info
+    result.low_precision = bool(info.get("low_precision", False))
     try:
         result.to(device=device, dtype=dtype)
     except (RuntimeError, AssertionError) as error:

@@ -49,7 +49,8 @@ class EquivarianceCase:
         mark = "ok  " if self.passed else "FAIL"
         return (
             f"{mark} {self.motion:<22} output {self.output} ({self.kind}): "
-            f"error {self.error:.3e}, scale {self.scale:.3e}, allowed {self.tolerance * self.scale:.3e}"
+            f"error {self.error:.3e}, scale {self.scale:.3e}, "
+            f"allowed {self.tolerance * self.scale:.3e}"
         )
 
 

@@ -51,21 +51,35 @@ def farthest_points(points: FloatArray, count: int, start: int | None = None) ->
             fpsample.bucket_fps_kdline_sampling(centred[order], count, h=height, start_idx=place)
         ]
         if chosen[0] == first:
-            return chosen
-    return fpsample.fps_sampling(centred, count, start_idx=first).astype(np.intp)
+            return _distinct(chosen, len(points))
+    chosen = fpsample.fps_sampling(centred, count, start_idx=first).astype(np.intp)
+    return _distinct(chosen, len(points))
+
+
+def _distinct(chosen: NDArray[np.intp], total: int) -> NDArray[np.intp]:
+    """Return the indices without repetition, filled up to the same number from 0..total-1.
+
+    Where points coincide the sampler runs out of distances and repeats itself.
+    """
+    fresh = np.sort(np.unique(chosen, return_index=True)[1])
+    if len(fresh) == len(chosen):
+        return chosen
+    unused = np.setdiff1d(np.arange(total), chosen)[: len(chosen) - len(fresh)]
+    return np.concatenate([chosen[fresh], unused])
 
 
 def _tree_order(points: NDArray[np.float32], height: int) -> NDArray[np.intp]:
     """Return the order (N,) of points in a tree that halves the widest axis at the mean."""
+    columns = np.ascontiguousarray(points.T)
     order = np.arange(len(points))
     parts = [(0, len(points))]
     for _ in range(height):
         halves: list[tuple[int, int]] = []
         for low, high in parts:
             rows = order[low:high]
-            members = points[rows]
-            axis = int(np.argmax(members.max(axis=0) - members.min(axis=0)))
-            left = members[:, axis] < members[:, axis].mean()
+            members = columns[:, rows]
+            axis = int(np.argmax(members.max(axis=1) - members.min(axis=1)))
+            left = members[axis] < members[axis].mean()
             middle = low + int(np.count_nonzero(left))
             order[low:high] = np.concatenate([rows[left], rows[~left]])
             halves += [half for half in ((low, middle), (middle, high)) if half[1] > half[0]]

@@ -5,6 +5,7 @@ section 6).
 from .check import REASONS, CheckSettings, GraspCheck, check_grasps, grasp_tilt
 from .contact import Contacts, ContactSettings, ContactSurface, contact_surface, measure_contacts
 from .depth_image import DepthImage, DepthImageSettings
+from .distance_field import DistanceField
 from .observation import ObservationSettings, PointState, SceneObservation
 from .probe import ClosingVolume, GripperProbe, ProbeSettings, closing_volume, gripper_probe
 from .rank import RankSettings, excluded, rejection_counts, score_grasps, suppress_duplicates
@@ -18,6 +19,7 @@ __all__ = [
     "Contacts",
     "DepthImage",
     "DepthImageSettings",
+    "DistanceField",
     "GraspCheck",
     "GripperProbe",
     "ObservationSettings",

@@ -42,19 +42,15 @@ class CheckSettings:
         max_unseen: largest share of the points near the TCP that may lie where nothing was seen.
         near: points nearer to the TCP than this count for the unseen share (m).
         workspace_above: the TCP may lie so far above the region's top (m).
-        clearance_range: clearances are cut off here (m).
-        clearance_grid: the seen points are thinned to this grid to measure the clearance (m).
     """
 
-    max_inside: int = 1
+    max_inside: int = 0
     max_structure: int = 0
     approach_steps: int = 5
-    max_approach_inside: int = 1
-    max_unseen: float = 0.5
+    max_approach_inside: int = 0
+    max_unseen: float = 0.15
     near: float = 0.06
     workspace_above: float = 0.05
-    clearance_range: float = 0.03
-    clearance_grid: float = 0.003
 
 
 @dataclass
@@ -153,7 +149,7 @@ def check_grasps(
     check.reject(hit | (structure > s.max_structure), "collision")
     check.reject(check.unseen_share > s.max_unseen, "unseen")
     free = np.flatnonzero(check.passed)
-    check.clearance[free] = _clearance(observation, points[free], s)
+    check.clearance[free] = _clearance(observation, probe, poses[free], points[free])
     return check
 
 
@@ -207,14 +203,21 @@ def _collision_depth(
     return depth.reshape(state.shape).max(axis=1, initial=0.0)
 
 
-def _clearance(observation: SceneObservation, points: np.ndarray, s: CheckSettings) -> np.ndarray:
-    """Distance (n,) of gripper points (n, M, 3) to the nearest seen point or structure (m)."""
-    if len(points) == 0:
-        return np.zeros(0, dtype=np.float32)
-    flat = points.reshape(-1, 3)
-    tree = observation.tree(s.clearance_grid)
-    distance, _ = tree.query(flat, distance_upper_bound=s.clearance_range)
-    nearest = np.minimum(
-        np.minimum(distance, observation.structure_distance(flat)), s.clearance_range
-    )
-    return nearest.reshape(points.shape[:2]).min(axis=1).astype(np.float32)
+def _clearance(
+    observation: SceneObservation, probe: GripperProbe, poses: np.ndarray, points: np.ndarray
+) -> np.ndarray:
+    """Distance (n,) of the gripper at poses (n, 4, 4), points (n, M, 3), to what was seen, walls
+    and floor.
+    """
+    field = probe.field
+    x, y, z = scene = observation.surface_points.T
+    result = np.full(len(poses), field.limit, dtype=np.float32)
+    for i, pose in enumerate(poses):
+        rotation, origin = pose[:3, :3].astype(np.float32), pose[:3, 3].astype(np.float32)
+        low, high = origin - field.reach, origin + field.reach
+        near = (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1])
+        near &= (z > low[2]) & (z < high[2])
+        result[i] = field.least(rotation.T @ (scene[:, near] - origin[:, None]))
+    structure = observation.structure_distance(points.reshape(-1, 3))
+    nearest = structure.reshape(points.shape[:2]).min(axis=1, initial=np.inf)
+    return np.minimum(result, nearest).astype(np.float32)

@@ -85,9 +85,10 @@ def contact_surface(
 
     Args:
         crop: (K, 3) full crop.
-        node_points, node_normals: (M, 3) voxel means and their normals.
-        floor_distance, node_floor_distance: (K,), (M,) heights over the floor, None where it is
-            not known.
+        node_points: (M, 3) voxel means.
+        node_normals: (M, 3) their normals.
+        floor_distance: (K,) heights of the crop over the floor, None where it is not known.
+        node_floor_distance: (M,) those of the voxel means.
         settings: see `ContactSettings`.
     """
     s = settings or ContactSettings()

@@ -27,9 +27,6 @@ class DepthImageSettings:
         fill_passes: passes of the 3x3 filling of single empty pixels.
         fill_neighbours: an empty pixel is filled when at least so many of its 8 neighbours are
             seen.
-        lateral: across-the-ray tolerance (m): a point is behind the surface only when it is behind
-            every pixel within this distance, so that a surface seen at a grazing angle is not read
-            as a deep penetration.
         hole: distance (m) over which the rim of an unobserved patch is searched for the nearest
             surface.
     """
@@ -39,7 +36,6 @@ class DepthImageSettings:
     max_tangent: float = 1.5
     fill_passes: int = 2
     fill_neighbours: int = 3
-    lateral: float = 0.003
     hole: float = 0.015
 
 
@@ -47,13 +43,11 @@ class DepthImage:
     """Smallest depth per pixel of a pinhole image that looks from the sensor to the middle of the
     cloud.
 
-    Three images of the same size, all depths along the optical axis (m, float32):
+    Two images of the same size, all depths along the optical axis (m, float32):
 
     - `seen`: the depth, `inf` where nothing was seen. Single empty pixels between seen ones are
       filled with the *nearest* of their 3x3 neighbours, so that sparse pixels do not read as free
       space through a surface.
-    - `far`: the largest depth within the lateral tolerance; a point behind it by d is d inside the
-      shadow of the seen surface whatever the exact pixel.
     - `front`: where nothing was seen, the smallest depth on the rim of the unobserved patch
       (within `hole`), or the depth of the nearest seen pixel for larger patches. In front of it is
       free (the rim's surface, or something behind it, stops the ray), behind it unknown. Equals
@@ -85,44 +79,42 @@ class DepthImage:
                 "crop."
             )
         self.sensor = np.asarray(sensor, dtype=np.float64).reshape(3)
-        middle = points.mean(axis=0, dtype=np.float64)
-        self.rotation = _looking_at(
-            middle - self.sensor
-        )  # (3, 3), rows: image x, image y, optical axis
-        rays = self._camera_points(points)
-        depth = rays[:, 2]
-        ok = depth > 1e-3
-        if ok.mean() < 0.5:
+        stride = max(1, len(points) // 4096)
+        middle = points[::stride].mean(axis=0, dtype=np.float64)
+        self.rotation = _looking_at(middle - self.sensor)  # rows: image x, image y, optical axis
+        x, y, depth = self._camera_points(points)
+        front = depth > 1e-3
+        if front.mean() < 0.5:
             raise InvalidRequestError(
-                f"the sensor position {np.round(self.sensor, 3).tolist()} has {int(ok.sum())} of "
-                f"{len(points)} points in front of it; expected a position outside the cloud, in "
-                "the cloud's frame. Give the position of the camera in the frame of the cloud."
+                f"the sensor position {np.round(self.sensor, 3).tolist()} has {int(front.sum())} "
+                f"of {len(points)} points in front of it; expected a position outside the cloud, "
+                "in the cloud's frame. Give the position of the camera in the frame of the cloud."
             )
-        tangents = rays[ok, :2] / depth[ok, None]
-        depth = depth[ok]
-        inside = (np.abs(tangents) < self.settings.max_tangent).all(axis=1)
-        tangents, depth = tangents[inside], depth[inside]
-        self.origin, self.pitch, self.shape = _raster(tangents, self.settings)
-        self.pixel_size = float(self.pitch * np.median(depth))
-        self.seen = self._fill(self._splat(tangents, depth))
-        self.far = self._dilate(self.seen)
+        depth = np.where(front, depth, np.float32(1e-3))
+        u, v = x / depth, y / depth
+        limit = self.settings.max_tangent
+        inside = front & (np.abs(u) < limit) & (np.abs(v) < limit)
+        if not inside.all():
+            u, v, depth = u[inside], v[inside], depth[inside]
+        self.origin, self.pitch, self.shape = _raster(u, v, self.settings)
+        self.pixel_size = float(self.pitch * np.median(depth[::stride]))
+        self.seen = self._fill(self._splat(u, v, depth))
         self.front = self._close(self.seen)
 
-    def lookup(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def lookup(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Depth of points and of the surface at their pixels.
 
         Args:
             points: (P, 3) in the frame of the cloud.
 
         Returns:
-            depth (P,), seen (P,), far (P,), front (P,), float32 along the optical axis. Outside
+            depth (P,), seen (P,), front (P,), float32 along the optical axis. Outside
             the image `seen` is inf and `front` the value of the nearest border pixel.
         """
-        rays = self._camera_points(points)
-        depth = rays[:, 2]
-        safe = np.maximum(depth, np.float32(1e-3))
-        column = (rays[:, 0] / safe - self.origin[0]) * np.float32(1.0 / self.pitch)
-        row = (rays[:, 1] / safe - self.origin[1]) * np.float32(1.0 / self.pitch)
+        x, y, depth = self._camera_points(points)
+        scale = np.float32(1.0 / self.pitch) / np.maximum(depth, np.float32(1e-3))
+        column = x * scale - np.float32(self.origin[0] / self.pitch)
+        row = y * scale - np.float32(self.origin[1] / self.pitch)
         height, width = self.shape
         outside = (column < 0) | (row < 0) | (column >= width) | (row >= height)
         np.clip(column, 0, width - 1, out=column)
@@ -130,21 +122,22 @@ class DepthImage:
         index = row.astype(np.int32) * np.int32(width) + column.astype(np.int32)
         seen = self.seen.ravel()[index]
         seen[outside] = np.inf
-        return depth, seen, self.far.ravel()[index], self.front.ravel()[index]
+        return depth, seen, self.front.ravel()[index]
 
     def _camera_points(self, points: np.ndarray) -> np.ndarray:
-        # The difference is taken in the precision that is given: float64 for a cloud far from its
-        # origin.
+        """(3, P) float32: along image x, image y and the optical axis."""
+        # The difference is taken in the precision that is given: float64 far from the origin.
         points = np.asarray(points)
         offset = points - self.sensor.astype(points.dtype)
-        return offset.astype(np.float32, copy=False) @ self.rotation.T.astype(np.float32)
+        return self.rotation.astype(np.float32) @ offset.astype(np.float32, copy=False).T
 
-    def _splat(self, tangents: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    def _splat(self, u: np.ndarray, v: np.ndarray, depth: np.ndarray) -> np.ndarray:
         height, width = self.shape
-        pixel = ((tangents - self.origin) * np.float32(1.0 / self.pitch)).astype(np.int32)
-        np.clip(pixel, 0, [width - 1, height - 1], out=pixel)
+        scale = np.float32(1.0 / self.pitch)
+        column = np.clip(((u - self.origin[0]) * scale).astype(np.int32), 0, width - 1)
+        row = np.clip(((v - self.origin[1]) * scale).astype(np.int32), 0, height - 1)
         image = np.full(height * width, np.inf, dtype=np.float32)
-        np.minimum.at(image, pixel[:, 1] * width + pixel[:, 0], depth)
+        np.minimum.at(image, row * width + column, depth)
         return image.reshape(self.shape)
 
     def _fill(self, image: np.ndarray) -> np.ndarray:
@@ -159,14 +152,6 @@ class DepthImage:
             nearest = ndimage.minimum_filter(image, size=3, mode="constant", cval=np.inf)
             image = np.where(fill, nearest, image)
         return image
-
-    def _dilate(self, image: np.ndarray) -> np.ndarray:
-        # A pixel already covers half a pitch to either side; more would make thin bodies vanish.
-        radius = max(1, int(self.settings.lateral / self.pixel_size - 0.5))
-        known = np.where(np.isfinite(image), image, -np.inf)
-        return ndimage.maximum_filter(known, size=2 * radius + 1, mode="nearest").astype(
-            np.float32
-        )
 
     def _close(self, image: np.ndarray) -> np.ndarray:
         empty = ~np.isfinite(image)
@@ -196,23 +181,23 @@ def _looking_at(direction: np.ndarray) -> np.ndarray:
 
 
 def _raster(
-    tangents: np.ndarray, settings: DepthImageSettings
+    u: np.ndarray, v: np.ndarray, settings: DepthImageSettings
 ) -> tuple[np.ndarray, float, tuple[int, int]]:
     """Origin (2,), pitch and (rows, columns) of an image whose pitch fits the density of the
     points.
     """
-    low, high = tangents.min(axis=0), tangents.max(axis=0)
-    extent = np.maximum(high - low, 1e-4)
-    # The occupied area is counted on a coarse raster: the crop of a bin is not a rectangle in the
-    # image.
+    low = np.array([u.min(), v.min()])
+    extent = np.maximum(np.array([u.max(), v.max()]) - low, 1e-4)
+    # The occupied area is counted on a coarse raster: a crop is not a rectangle in the image.
     cells = 48
     pitch = float(extent.max()) / cells
-    cell = ((tangents - low) / pitch).astype(np.int32)
-    occupied = len(np.unique(cell[:, 0] * (cells + 2) + cell[:, 1]))
-    spacing = np.sqrt(occupied * pitch * pitch / len(tangents))
-    pitch = float(
-        max(spacing * settings.pitch_in_spacings, extent.max() / (settings.max_side - 2))
-    )
+    stride = max(1, len(u) // 20_000)
+    column = ((u[::stride] - low[0]) / pitch).astype(np.int32)
+    row = ((v[::stride] - low[1]) / pitch).astype(np.int32)
+    occupied = np.count_nonzero(np.bincount(row * (cells + 2) + column))
+    spacing = np.sqrt(occupied * pitch * pitch / len(u))
+    smallest = float(extent.max()) / (settings.max_side - 2)
+    pitch = float(max(spacing * settings.pitch_in_spacings, smallest))
     size = np.ceil(extent / pitch).astype(int) + 2
     origin = (low - 0.5 * (size * pitch - extent)).astype(np.float32)
     return origin, pitch, (int(size[1]), int(size[0]))

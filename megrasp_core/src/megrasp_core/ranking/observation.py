@@ -9,7 +9,6 @@ from enum import IntEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ..errors import InvalidRequestError
 from .depth_image import DepthImage, DepthImageSettings
@@ -26,7 +25,7 @@ class PointState(IntEnum):
 
     FREE = 0
     NEAR = 1  # within the margin of a seen surface
-    INSIDE = 2  # behind a seen surface by more than the margin and less than the shell: inside what was seen
+    INSIDE = 2  # behind a seen surface by more than the margin, less than the shell: in that body
     UNSEEN = 3  # further behind a seen surface, or where nothing was seen
     WALL = 4  # in or beyond a wall of the bin, below its top
     FLOOR = 5  # below the bin's floor or the support plane
@@ -74,6 +73,7 @@ class SceneObservation:
         region: OrientedBox | None = None,
         walls: bool = True,
         floor: Plane | None = None,
+        surface_points: np.ndarray | None = None,
         settings: ObservationSettings | None = None,
     ) -> None:
         """Draw the depth image and orient the region.
@@ -86,6 +86,8 @@ class SceneObservation:
             region: box that was cropped to, or None.
             walls: the region is the inside of a bin.
             floor: support plane (normal away from the support) for scenes without walls.
+            surface_points: (M, 3) evenly thinned surface for distances; default: the crop
+                thinned to 3 mm.
             settings: see `ObservationSettings`.
 
         Raises:
@@ -95,13 +97,17 @@ class SceneObservation:
         self.points = np.asarray(points)
         self.image = DepthImage(points, sensor, self.settings.image)
         self.sensor = self.image.sensor
+        if surface_points is None:
+            surface_points = thinned(self.points, 0.003)
+        # Columns lie together in memory: they are filtered axis by axis.
+        self.surface_points = np.asfortranarray(surface_points, dtype=np.float32)
         self.gravity = None if gravity is None else np.asarray(gravity, dtype=np.float64)
         self.region = region
         self.walls = bool(walls and region is not None)
         self.floor = None if self.walls else floor
         self._box_from_world: np.ndarray | None = None
-        self._half = np.zeros(3)
-        self._trees: dict[float, cKDTree] = {}
+        self._half = np.zeros(3, dtype=np.float32)
+        self._centre = np.zeros(3) if region is None else np.asarray(region.centre)
         if region is not None:
             self._box_from_world, self._half = self._upright(region)
 
@@ -115,7 +121,7 @@ class SceneObservation:
         axes = pose[:3, :3][:, order]
         if along[axis] < 0:
             axes = axes * np.array([-1.0, 1.0, -1.0])
-        half = np.asarray(region.size, dtype=np.float64)[order] / 2
+        half = np.asarray(region.size, dtype=np.float32)[order] / 2
         if not (half > 0).all():
             raise InvalidRequestError(
                 f"the region has size {np.asarray(region.size).tolist()}; expected three positive "
@@ -136,8 +142,10 @@ class SceneObservation:
             raise InvalidRequestError(
                 "the observation has no region; give one to use its coordinates."
             )
-        m = self._box_from_world
-        return (points @ m[:3, :3].T + m[:3, 3]).astype(np.float32)
+        rotation = self._box_from_world[:3, :3].astype(np.float32)
+        points = np.asarray(points)
+        offset = points - self._centre.astype(points.dtype)
+        return (rotation @ offset.astype(np.float32, copy=False).T).T
 
     def contains(self, points: np.ndarray, above: float = np.inf) -> np.ndarray:
         """Whether points (P, 3) lie within the region's sides, over its bottom and less than
@@ -155,17 +163,12 @@ class SceneObservation:
         """Depth (P,) of points (P, 3) behind the seen surface along the optical axis (m); negative
         in front.
 
-        Measured against the furthest surface within the lateral tolerance when behind, against the
-        pixel itself when in front. +inf where nothing was seen and the point is not in front of
-        the rim of that patch.
+        +inf where nothing was seen and the point is not in front of the rim of that patch.
         """
-        depth, seen, far, front = self.image.lookup(points)
-        unobserved = ~np.isfinite(seen)
-        return np.where(
-            unobserved,
-            np.where(depth < front - self.settings.margin, depth - front, np.inf),
-            np.where(depth < seen, depth - seen, np.maximum(depth - far, 0.0)),
-        ).astype(np.float32)
+        depth, seen, front = self.image.lookup(points)
+        signed = depth - front
+        signed[~np.isfinite(seen) & (signed >= -self.settings.margin)] = np.inf
+        return signed
 
     def classify(self, points: np.ndarray) -> np.ndarray:
         """State (P,) int8 of every point (P, 3); see `PointState`. Walls and floor go before what
@@ -193,14 +196,6 @@ class SceneObservation:
         state[(beyond > 0) & (below_top <= 0) & ~np.isfinite(signed)] = PointState.FREE
         state[np.minimum(beyond, below_top) > s.wall_margin] = PointState.WALL
         state[-half[2] - p[:, 2] > s.floor_margin] = PointState.FLOOR
-
-    def tree(self, spacing: float) -> cKDTree:
-        """Search tree of the crop thinned to one point per cell of this size (m); built once per
-        spacing.
-        """
-        if spacing not in self._trees:
-            self._trees[spacing] = cKDTree(thinned(self.points, spacing))
-        return self._trees[spacing]
 
     def structure_distance(self, points: np.ndarray) -> np.ndarray:
         """Distance (P,) of points (P, 3) to the nearest wall or floor (m), at least 0; inf without

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .distance_field import DistanceField
+
 if TYPE_CHECKING:
     from ..grippers import Gripper
 
@@ -25,6 +27,7 @@ class ProbeSettings:
             to a grid of `far_spacing`.
         far_spacing: grid further away (m).
         approach_spacing: grid of the points that are moved along the approach (m).
+        clearance_range: clearances are measured up to here (m).
         seed: of the gripper's clouds.
     """
 
@@ -32,6 +35,7 @@ class ProbeSettings:
     near: float = 0.06
     far_spacing: float = 0.010
     approach_spacing: float = 0.012
+    clearance_range: float = 0.02
     seed: int = 0
 
 
@@ -65,6 +69,7 @@ class GripperProbe:
     Attributes:
         points: (M, 3) float32, open posture.
         approach_points: (m, 3) float32, coarse subset for the approach path.
+        field: distance to the open gripper, up to the clearance range.
         tcp: (3,) tool centre point.
         volume: space between the open fingers, None where the fingers do not close towards each
             other.
@@ -75,6 +80,7 @@ class GripperProbe:
 
     points: np.ndarray
     approach_points: np.ndarray
+    field: DistanceField
     tcp: np.ndarray
     volume: ClosingVolume | None
     max_width: float | None
@@ -95,10 +101,12 @@ def gripper_probe(gripper: Gripper, settings: ProbeSettings | None = None) -> Gr
     points = np.asarray(points, dtype=np.float32)
     near = np.linalg.norm(points - tcp, axis=1) < s.near
     points = np.concatenate([points[near], thinned(points[~near], s.far_spacing)])
+    dense, _ = gripper.collision_points(spacing=0.003)
     clouds = gripper.clouds(count=1024, seed=s.seed)
     return GripperProbe(
         points=points,
         approach_points=thinned(points, s.approach_spacing),
+        field=DistanceField.around(dense, s.clearance_range),
         tcp=tcp,
         volume=closing_volume(clouds.open_points, clouds.open_normals, clouds.displacement, tcp),
         max_width=gripper.description.max_width,
@@ -108,15 +116,17 @@ def gripper_probe(gripper: Gripper, settings: ProbeSettings | None = None) -> Gr
 
 
 def thinned(points: np.ndarray, spacing: float) -> np.ndarray:
-    """The point nearest to the middle of its cell, for every occupied cell of a cubic grid of this
-    spacing.
+    """One point per occupied cell of a cubic grid of this spacing, the one nearest to its
+    middle.
     """
     if len(points) == 0:
         return points
-    scaled = points / spacing
-    cell = np.floor(scaled).astype(np.int64)
-    order = np.argsort(np.linalg.norm(scaled - cell - 0.5, axis=1), kind="stable")
-    _, first = np.unique(cell[order], axis=0, return_index=True)
+    scaled = (points - points.min(axis=0)) / spacing
+    cell = scaled.astype(np.int64)
+    size = cell.max(axis=0) + 1
+    key = (cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]
+    order = np.argsort(((scaled - cell - 0.5) ** 2).sum(axis=1))
+    _, first = np.unique(key[order], return_index=True)
     return points[np.sort(order[first])]
 
 

@@ -16,6 +16,10 @@ __all__ = ["RankSettings", "excluded", "rejection_counts", "score_grasps", "supp
 class RankSettings:
     """How grasps are ordered.
 
+    The defaults follow what was measured on 12000 antipodal candidates in simulated bins: of the
+    grasps that passed the check, 54 % without clearance were free of collision, 84 % with 2 to
+    3 mm, 90 to 95 % above; 85 % without unseen points, 70 % with 2 to 10 % of them, 21 % above.
+
     Attributes:
         unseen_weight: the score is multiplied by 1 - weight * unseen share.
         tight_weight: a grasp without clearance loses this share of its score.
@@ -26,9 +30,9 @@ class RankSettings:
         duplicate_angle: than this (rad), modulo the gripper's symmetry, are the same grasp.
     """
 
-    unseen_weight: float = 0.5
-    tight_weight: float = 0.15
-    full_clearance: float = 0.005
+    unseen_weight: float = 2.0
+    tight_weight: float = 0.4
+    full_clearance: float = 0.003
     contact_weight: float = 0.3
     duplicate_distance: float = 0.01
     duplicate_angle: float = float(np.deg2rad(15.0))
@@ -49,7 +53,8 @@ def score_grasps(
         settings: see `RankSettings`.
     """
     s = settings or RankSettings()
-    score = 1.0 - s.unseen_weight * check.unseen_share.astype(np.float64)
+    unseen = check.unseen_share.astype(np.float64)
+    score = np.clip(1.0 - s.unseen_weight * unseen, 0.0, 1.0)
     score *= 1.0 - s.tight_weight * (1.0 - np.clip(check.clearance / s.full_clearance, 0.0, 1.0))
     quality = np.full(len(score), 0.5) if contacts is None else contacts.quality
     if confidence is None:

@@ -1,9 +1,9 @@
 """Puts table, bin, objects and gripper together into one MuJoCo model.
 
 Settings and their reasons were measured: Newton, implicit-fast, 2 ms, elliptic cones with impratio
-    10 hold a grasped object without creep; a gripper welded straight to the world would lose
-    MuJoCo's parent-child contact filter, so it hangs on a free 1 kg "mount" body that a weld drags
-    behind a mocap body.
+10 hold a grasped object without creep; a gripper welded straight to the world would lose MuJoCo's
+parent-child contact filter, so it hangs on a free 1 kg "mount" body that a weld drags behind a
+mocap body.
 """
 
 from __future__ import annotations
@@ -34,8 +34,9 @@ GUARD_CONTYPE = 4
 CONTACT_SOLREF = (0.01, 1.0)
 CONTACT_SOLIMP = (0.97, 0.99, 0.001, 0.5, 2.0)
 """Stiffness of contacts among objects and support. MuJoCo's defaults let piles creep by 1 mm in
-1.5 s and sink 0.9 mm into each other; these halve the creep, leave 0.1 mm, and settle in half the
-time (fewer retries)."""
+1.5 s and sink 0.9 mm into each other; these halve the creep, leave 0.1 mm, and settle in a
+third of the time (fewer contacts, fewer retries).
+"""
 
 MOUNT_MASS = 1.0
 GRIPPER_SOLMIX = 1000.0
@@ -83,8 +84,7 @@ def add_object(
     conaffinity: int,
     visual: bool,
 ) -> None:
-    """Add free body "object_<index>"; its frame is the object frame (origin at the centre of
-    mass).
+    """Add free body "object_<index>", whose origin is the object's centre of mass.
 
     asset: prefix of the mesh names, shared by equal objects; `new_asset` says whether to add the
         meshes. gravcomp is non-zero here because MuJoCo drops the term for good if no body has it
@@ -190,8 +190,7 @@ def assemble(
     visual: bool,
     guard: Guard | None,
 ) -> mujoco.MjModel:
-    """Compile the model. Objects are "object_0".. in the order given; see `build_world` for the
-    arguments."""
+    """Compile the model; objects are "object_0".., arguments as of `build_world`."""
     spec = mujoco.MjSpec()
     set_options(spec, timestep, gravity)
     sliding = 0.8 if friction is None else friction

@@ -1,7 +1,7 @@
 """Pinhole depth cameras without OpenGL: rays against the visual geometry.
 
 Optical frame: x right, y down, z forward. A depth image holds the z coordinate in that frame in m,
-    0 where nothing was seen within `far`.
+0 where nothing was seen within `far`.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ class Camera:
         """Check the numbers."""
         if self.width < 1 or self.height < 1 or not 0.0 < self.fovy < np.pi:
             raise InvalidRequestError(
-                f"camera of {self.width} x {self.height} pixels with fovy {self.fovy} rad; expected at least "
-                "1 x 1 pixels and an angle between 0 and pi"
+                f"camera of {self.width} x {self.height} pixels with fovy {self.fovy} rad; "
+                "expected at least 1 x 1 pixels and an angle between 0 and pi"
             )
 
     @property
@@ -88,7 +88,7 @@ def look_at(
     return pose
 
 
-def TopDownCamera(  # noqa: N802 - reads as the kind of camera it makes
+def TopDownCamera(
     height: float = 0.85,
     *,
     centre: tuple[float, float] = (0.0, 0.0),
@@ -115,8 +115,7 @@ def ring_cameras(
     height_px: int = 240,
     fovy: float = 0.65,
 ) -> list[Camera]:
-    """Return `count` cameras around a point, alternating between a low and a high elevation
-    (rad)."""
+    """Return `count` cameras around a point, by turns at a low and a high elevation (rad)."""
     cameras = []
     for index in range(count):
         azimuth = 2.0 * np.pi * index / count

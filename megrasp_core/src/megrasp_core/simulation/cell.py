@@ -1,11 +1,12 @@
 """A robot cell in MuJoCo: a bin with objects, a top-down depth camera, a rack of grippers.
 
-It plays the robot of DESIGN section 7 (`binpick`) for the demo, the evaluation and the ROS node `sim_cell`: it
-shows a cloud, executes a grasp with its approach path by the one verdict, leaves the scene as the attempt
-leaves it, takes what was lifted out of the bin, and changes tools. No ROS here.
+It plays the robot of DESIGN section 7 (`binpick`) for the demo, the evaluation and the ROS node
+`sim_cell`: it shows a cloud, executes a grasp with its approach path by the one verdict, leaves
+the scene as the attempt leaves it, takes what was lifted out of the bin, and changes tools. No ROS
+here.
 
-A cell belongs to one thread at a time: call it from one worker. The same seed, objects and calls give the same
-scenes and clouds.
+A cell belongs to one thread at a time: call it from one worker. The same seed, objects and calls
+give the same scenes and clouds.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,7 +23,8 @@ from megrasp_core.grippers import Gripper, load_gripper
 from megrasp_core.objects import ObjectModel, procedural_object
 from megrasp_core.pointcloud import Cloud, OrientedBox
 from megrasp_core.simulation.camera import Camera, TopDownCamera, depth_to_points
-from megrasp_core.simulation.clutter import settle
+from megrasp_core.simulation.cell_input import checked_pose, unique_names
+from megrasp_core.simulation.cell_rest import come_to_rest, outside_bin, settle_all
 from megrasp_core.simulation.depth_noise import DepthNoise
 from megrasp_core.simulation.rendering import render_view
 from megrasp_core.simulation.support import Bin
@@ -31,15 +32,6 @@ from megrasp_core.simulation.verdict import judge
 from megrasp_core.simulation.world import World, build_world
 
 LOGGER = logging.getLogger(__name__)
-
-SETTLE_ATTEMPTS = 4
-REST_SPEED = (0.02, 0.3)
-"""Objects slower than this (m/s, rad/s) for `REST_TIME` (s) are at rest; `REST_LIMIT` (s) is the longest wait."""
-
-REST_TIME, REST_LIMIT = 0.2, 4.0
-
-MAX_REACH = 2.0
-"""Poses farther from the bin than this (m) are taken for a mistake of frame or unit."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +65,8 @@ class ExecutionResult:
 
     success: the verdict's, an object was lifted, held and shaken.
     removed: names of the objects that the gripper took out, empty after a failure.
-    spilled: names of the objects that ended up outside the bin, which are taken out of the scene too.
+    spilled: names of the objects that ended up outside the bin, which are taken out of the scene
+    too.
     error: "" or the verdict's reason.
     depth: deepest penetration of the open gripper with anything before closing (m).
     """
@@ -101,20 +94,22 @@ class RobotCell:
     ) -> None:
         """Fills the bin.
 
-        objects: what to put in. grippers: the rack, names, folders or loaded grippers. mounted: name of the
-        gripper to start with (default: the first). object_poses: (n, 4, 4) world_from_object to start from;
-        by default the objects fall in one after another and come to rest.
+        objects: what to put in. grippers: the rack, names, folders or loaded grippers. mounted:
+        name of the gripper to start with (default: the first). object_poses: (n, 4, 4)
+        world_from_object to start from; by default the objects fall in one after another and come
+        to rest.
 
-        Raises InvalidRequestError for an empty list, UnknownGripperError, SimulationError if the objects do
-        not come to rest in the bin.
+        Raises InvalidRequestError for an empty list, UnknownGripperError, SimulationError if the
+        objects do not come to rest in the bin.
         """
         if not objects or not grippers:
             raise InvalidRequestError(
-                f"{len(objects)} objects and {len(grippers)} grippers were given; a cell needs one of each"
+                f"{len(objects)} objects and {len(grippers)} grippers were given; "
+                "a cell needs one of each"
             )
         self.settings = settings or CellSettings()
         self._objects = list(objects)
-        self._names = _unique([model.name for model in objects])
+        self._names = unique_names([model.name for model in objects])
         rack = [entry if isinstance(entry, Gripper) else load_gripper(entry) for entry in grippers]
         self._rack = {gripper.name: gripper for gripper in rack}
         self._seed = seed
@@ -124,7 +119,11 @@ class RobotCell:
         first = mounted or rack[0].name
         if first not in self._rack:
             raise UnknownGripperError(first, self._rack)
-        poses = self._settle() if object_poses is None else np.asarray(object_poses, dtype=float)
+        poses = (
+            settle_all(self._objects, self.settings.bin, seed, friction=self.settings.friction)
+            if object_poses is None
+            else np.asarray(object_poses, dtype=float)
+        )
         if poses.shape != (len(self._objects), 4, 4):
             raise InvalidRequestError(
                 f"object_poses of shape {poses.shape} were given; expected ({len(objects)}, 4, 4)"
@@ -194,8 +193,8 @@ class RobotCell:
     def look(self) -> CellView:
         """A picture of the bin, without the gripper.
 
-        Its noise depends on the seed and the number of attempts so far, not on how often one looks: a run can
-        then be repeated however fast the reader is.
+        Its noise depends on the seed and the number of attempts so far, not on how often one
+        looks: a run can then be repeated however fast the reader is.
         """
         if self._view is None:
             rng = np.random.default_rng([self._seed, self._version, 1])
@@ -216,13 +215,13 @@ class RobotCell:
         world_from_gripper: NDArray[np.float64],
         approach: NDArray[np.float64] | None = None,
     ) -> ExecutionResult:
-        """Approaches, closes, lifts and shakes; then the gripper leaves and the rest comes to rest.
+        """Approaches, closes, lifts, shakes; then the gripper leaves and the objects come to rest.
 
-        world_from_gripper: (4, 4) pre-grasp. approach: (4, 4) world_from_gripper at the stand-off, from where
-        the path to the pre-grasp is tested for collision; None: no path is tested.
+        world_from_gripper: (4, 4) pre-grasp. approach: (4, 4) world_from_gripper at the stand-off,
+        from where the path to the pre-grasp is tested for collision; None: no path is tested.
 
-        Raises InvalidRequestError for something that is no pose, SimulationError if the physics diverges; the
-        scene is then as before.
+        Raises InvalidRequestError for something that is no pose, SimulationError if the physics
+        diverges; the scene is then as before.
         """
         pose = checked_pose(world_from_gripper, "world_from_gripper")
         start = None if approach is None else checked_pose(approach, "approach")
@@ -239,7 +238,7 @@ class RobotCell:
         except SimulationError:
             self._world.restore(before)
             raise
-        spilled = [i for i in present if i not in lifted and self._outside(i)]
+        spilled = [i for i in outside_bin(self._world) if i not in lifted]
         for index in spilled:
             self._world.park_object(index)
         self._gone.update(lifted, spilled)
@@ -270,19 +269,6 @@ class RobotCell:
             self._gripper = previous
             raise
 
-    def _settle(self) -> NDArray[np.float64]:
-        for attempt in range(SETTLE_ATTEMPTS):
-            rng = np.random.default_rng([self._seed, attempt, 0])
-            scene = settle(
-                self._objects, bin=self.settings.bin, rng=rng, friction=self.settings.friction
-            )
-            if scene.ok and len(scene.kept) == len(self._objects):
-                return scene.object_poses
-        raise SimulationError(
-            f"{len(self._objects)} objects did not come to rest in the bin in {SETTLE_ATTEMPTS} attempts from "
-            f"seed {self._seed}; use fewer or smaller objects, or another seed"
-        )
-
     def _build(self, poses: NDArray[np.float64]) -> World:
         world = build_world(
             self._objects,
@@ -295,56 +281,3 @@ class RobotCell:
             world.park_object(index)
         world.forward()
         return world
-
-    def _outside(self, index: int) -> bool:
-        """Whether the object's centre is beyond the walls; something that lies on the rim counts as inside."""
-        centre = self._world.object_poses()[index][:2, 3]
-        half = np.asarray(self.settings.bin.inner[:2]) / 2.0 + self.settings.bin.wall
-        return bool(np.any(np.abs(centre) > half))
-
-
-def come_to_rest(world: World) -> None:
-    """Runs the physics until the objects are at rest. Raises SimulationError if it diverges."""
-    step = 0.05
-    calm = elapsed = 0.0
-    while calm < REST_TIME and elapsed < REST_LIMIT:
-        mujoco.mj_step(world.model, world.data, nstep=round(step / world.model.opt.timestep))
-        elapsed += step
-        calm = calm + step if (world.object_speeds() < REST_SPEED).all() else 0.0
-    if world.unstable():
-        raise SimulationError(
-            "the physics diverged while the objects came to rest; try another grasp or another seed"
-        )
-
-
-def checked_pose(pose: NDArray[np.float64], what: str) -> NDArray[np.float64]:
-    """The pose as (4, 4) float64, or InvalidRequestError if it is no rigid transform near the cell."""
-    matrix = np.asarray(pose, dtype=float)
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise InvalidRequestError(
-            f"{what} of shape {matrix.shape} was given; expected a (4, 4) transform of finite "
-            "numbers"
-        )
-    rotation = matrix[:3, :3]
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0:
-        raise InvalidRequestError(
-            f"the rotation of {what} is not orthonormal; expected a right-handed rotation, from "
-            "a unit quaternion"
-        )
-    if np.linalg.norm(matrix[:3, 3]) > MAX_REACH:
-        raise InvalidRequestError(
-            f"{what} is {np.linalg.norm(matrix[:3, 3]):.2f} m from the bin; expected at most "
-            f"{MAX_REACH:g} m: "
-            "check its frame and that lengths are in metres"
-        )
-    return matrix
-
-
-def _unique(names: Sequence[str]) -> list[str]:
-    """The names, with #2, #3 .. behind those that occur again."""
-    seen: dict[str, int] = {}
-    unique = []
-    for name in names:
-        seen[name] = seen.get(name, 0) + 1
-        unique.append(name if seen[name] == 1 else f"{name}#{seen[name]}")
-    return unique

@@ -128,7 +128,7 @@ def _settle_once(
     for index in range(len(world.objects)):
         world.place_object(index, _release_pose(world, index, area, rng, settings))
         _step(world, settings.interval)
-        _park_escaped(world, area)
+        park_escaped(world, area)
     world.set_drag(settings.damping)
     _calm(world, settings)
     # Nothing may lean on a wall that will not be there.
@@ -137,14 +137,14 @@ def _settle_once(
     world.set_drag(0.0)
     shift = angle = np.inf
     for _ in range(settings.rest_rounds):
-        _park_escaped(world, area)
-        shift, angle = _rest_check(world, settings)
+        park_escaped(world, area)
+        shift, angle = rest_check(world, settings.rest_time)
         if shift <= settings.rest_shift and angle <= settings.rest_angle:
             break
         world.set_drag(settings.damping)
         _step(world, settings.rest_time)
         world.set_drag(0.0)
-    escaped = _park_escaped(world, area)
+    escaped = park_escaped(world, area)
     depth = deepest_contact(world)
     resting = shift <= settings.rest_shift and angle <= settings.rest_angle and not escaped
     kept = tuple(world.present)
@@ -173,7 +173,7 @@ def _release_pose(
     points = np.concatenate([vertices for vertices, _ in world.objects[index].pieces])
     half = np.asarray(area) / 2.0 - 0.005
     for _ in range(20):
-        rotation = Rotation.random(random_state=rng).as_matrix()
+        rotation = Rotation.from_quat(rng.standard_normal(4)).as_matrix()
         turned = points @ rotation.T
         low, high = turned.min(axis=0), turned.max(axis=0)
         if ((high - low)[:2] < 2 * half).all():
@@ -182,9 +182,8 @@ def _release_pose(
         angle, radius = rng.uniform(0, 2 * np.pi), settings.heap_radius * np.sqrt(rng.random())
         xy = radius * np.array([np.cos(angle), np.sin(angle)])
     else:
-        free = np.maximum(np.stack([-half - low[:2], half - high[:2]]), [[-np.inf], [-np.inf]])
-        lowest, highest = np.minimum(free[0], free[1]), np.maximum(free[0], free[1])
-        xy = rng.uniform(lowest, highest)
+        # Sorted, because an object wider than the bin turns the range around.
+        xy = rng.uniform(*np.sort(np.stack([-half - low[:2], half - high[:2]]), axis=0))
     pose = np.eye(4)
     pose[:3, :3] = rotation
     pose[:2, 3] = xy
@@ -216,10 +215,10 @@ def _calm(world: World, settings: ClutterSettings) -> None:
             return
 
 
-def _rest_check(world: World, settings: ClutterSettings) -> tuple[float, float]:
-    """Largest shift (m) and turn (rad) of an object in the scene over the rest time."""
+def rest_check(world: World, duration: float) -> tuple[float, float]:
+    """Run for `duration` s; largest shift (m) and turn (rad) of an object in the scene."""
     before = world.object_poses()[world.present]
-    _step(world, settings.rest_time)
+    _step(world, duration)
     after = world.object_poses()[world.present]
     if len(before) == 0:
         return 0.0, 0.0
@@ -229,7 +228,7 @@ def _rest_check(world: World, settings: ClutterSettings) -> tuple[float, float]:
     return float(shift.max()), float(angle.max())
 
 
-def _park_escaped(world: World, area: tuple[float, float]) -> int:
+def park_escaped(world: World, area: tuple[float, float]) -> int:
     """Park the objects whose centre is outside the area; how many they were."""
     poses = world.object_poses()
     half = np.asarray(area) / 2.0

@@ -1,5 +1,4 @@
-"""Poses (4, 4) to and from the seven numbers of a MuJoCo free joint (position, quaternion w
-first)."""
+"""Poses (4, 4) to and from a free joint's seven numbers: position, quaternion w first."""
 
 from __future__ import annotations
 

@@ -106,5 +106,7 @@ class DepthNoise:
         if not surface.any():
             return surface
         blobs = rng.random(tuple(-(-edge // 16) + 1 for edge in surface.shape))
-        patch = ndimage.zoom(blobs, 16, order=1)[: surface.shape[0], : surface.shape[1]]
+        patch = np.asarray(ndimage.zoom(blobs, 16, order=1))[
+            : surface.shape[0], : surface.shape[1]
+        ]
         return surface & ((view.incidence > self.shiny_cosine) | (patch < self.shiny_patch))

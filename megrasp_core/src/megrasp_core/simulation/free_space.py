@@ -1,5 +1,4 @@
-"""Free-space trial: one object floating without gravity, as labels need it (DESIGN sections 2 and
-5).
+"""Free-space trial: one object floats without gravity, as labels need it (DESIGN 2 and 5).
 
 (a) and (b) of the verdict against the object alone, then +-5 cm at 2 Hz for 1 s along the
 gripper's approach and Y axes and +-0.4 rad at 2 Hz for 1 s about its closing and Y axes through
@@ -102,10 +101,10 @@ class FreeSpaceRig:
         return FreeSpaceResult(held, Reason.SUCCESS if held else Reason.SLIPPED, depth)
 
     def _place(self, object_from_gripper: NDArray[np.float64]) -> None:
-        """Gripper at the origin, object around it: the shakes are then the same for every
-        trial."""
+        """Gripper at the origin: the shakes are then the same for every trial."""
         self.world.restore(self._start)
-        self.world.place_object(0, np.linalg.inv(object_from_gripper))
+        inverse = np.linalg.inv(object_from_gripper).astype(np.float64)
+        self.world.place_object(0, inverse)
         self.world.place_gripper(np.eye(4))
 
     def _shift(self) -> Motion:

@@ -35,8 +35,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Shake:
-    """Two axes at a right angle, moved sinusoidally a quarter period apart: a circle, faded in and
-    out.
+    """A circle, faded in and out: two axes moved sinusoidally a quarter period apart.
 
     amplitude: m or rad along each axis; frequency in Hz; duration and fade in s.
     """
@@ -94,8 +93,7 @@ def advance(world: World, motion: Motion, watch: Watch | None = None) -> bool:
 
 
 class ContactWatch:
-    """Which of some objects have stayed in contact with the gripper, apart from gaps of up to 50
-    ms."""
+    """Which of some objects stay in contact with the gripper, gaps of up to 50 ms allowed."""
 
     GAP = 0.05
 

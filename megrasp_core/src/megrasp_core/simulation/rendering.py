@@ -8,12 +8,12 @@ as long (0.6 s against 0.05 s CPU for 640 x 480 and 12 scans of 2000 faces).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
+from megrasp_core.errors import InvalidRequestError
 from megrasp_core.pointcloud import Cloud
 from megrasp_core.simulation.camera import Camera, depth_to_points
 from megrasp_core.simulation.depth_noise import DepthNoise
@@ -34,8 +34,7 @@ _CORNERS = np.array(
 
 
 class Snapshot:
-    """The visible geometry of a world as it is now: objects in the scene, table and bin; never the
-    gripper."""
+    """The visible geometry of a world as it is now: objects, table, bin; never the gripper."""
 
     def __init__(self, world: World) -> None:
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
@@ -56,8 +55,8 @@ class Snapshot:
 
     def _add(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
         self._scene.add_triangles(
-            o3d.core.Tensor(np.ascontiguousarray(vertices, dtype=np.float32)),
-            o3d.core.Tensor(np.ascontiguousarray(faces, dtype=np.uint32)),
+            o3d.core.Tensor.from_numpy(np.ascontiguousarray(vertices, dtype=np.float32)),
+            o3d.core.Tensor.from_numpy(np.ascontiguousarray(faces, dtype=np.uint32)),
         )
 
     def view(self, camera: Camera) -> View:
@@ -67,7 +66,7 @@ class Snapshot:
         rays = np.empty((camera.height, camera.width, 6), dtype=np.float32)
         rays[..., :3] = pose[:3, 3]
         rays[..., 3:] = directions
-        hit = self._scene.cast_rays(o3d.core.Tensor(rays), nthreads=1)
+        hit = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays), nthreads=1)
         # Directions have z = 1 in the optical frame, so the ray parameter is the depth.
         depth = hit["t_hit"].numpy()
         normals = hit["primitive_normals"].numpy()
@@ -98,9 +97,9 @@ def observe(
 ) -> Cloud:
     """Cloud in the world frame of what one or several cameras see; the gripper is never in it.
 
-    rng is needed with noise. The cloud's viewpoint is the camera's position (3,), for several
-    cameras that of the one that saw each point (N, 3). Colours are the mean colours of the
-    objects.
+    rng is needed with noise (InvalidRequestError without). The cloud's viewpoint is the camera's
+    position (3,), for several cameras that of the one that saw each point (N, 3). Colours are the
+    mean colours of the objects.
     """
     cameras = [camera] if isinstance(camera, Camera) else list(camera)
     snapshot = Snapshot(world)
@@ -110,7 +109,9 @@ def observe(
         view = snapshot.view(one)
         depth = view.depth
         if noise is not None:
-            depth = noise.apply(view, rng if rng is not None else np.random.default_rng())
+            if rng is None:
+                raise InvalidRequestError("noise was given without rng; pass a seeded generator")
+            depth = noise.apply(view, rng)
         points.append(depth_to_points(depth, one))
         colors.append(palette[view.owner[depth > 0]])
         origins.append(np.broadcast_to(one.position, points[-1].shape))

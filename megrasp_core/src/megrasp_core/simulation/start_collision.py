@@ -1,5 +1,4 @@
-"""Start collisions: how deep the open gripper is in the scene at a pre-grasp and on the way
-there."""
+"""Start collisions: how deep the open gripper is in the scene at a pre-grasp or before."""
 
 from __future__ import annotations
 
@@ -18,8 +17,7 @@ from megrasp_core.simulation.world import GRIPPER, World
 def start_depths(
     world: World, world_from_gripper: NDArray[np.float64], *, posture: Posture = "open"
 ) -> NDArray[np.float64]:
-    """Deepest penetration (m) of the open gripper at each pose (n, 4, 4) with objects, table and
-    bin: (n,).
+    """Deepest penetration (m) of the open gripper with anything at each pose (n, 4, 4): (n,).
 
     The world is left as it was. Contacts among the objects are switched off meanwhile, which is
     what makes thousands of poses a second possible in a heap.
@@ -60,7 +58,8 @@ def approach_path(
     approach: NDArray[np.float64], world_from_gripper: NDArray[np.float64], count: int = 10
 ) -> NDArray[np.float64]:
     """`count` poses from the approach pose towards the pre-grasp, which itself is left out;
-    (count, 4, 4)."""
+    (count, 4, 4).
+    """
     shares = np.arange(count) / count
     path = np.tile(np.eye(4), (count, 1, 1))
     ends = Rotation.from_matrix(np.stack([approach[:3, :3], world_from_gripper[:3, :3]]))

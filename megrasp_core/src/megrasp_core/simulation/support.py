@@ -1,7 +1,7 @@
 """What objects lie on: the table plane and, on it, an open bin.
 
 World frame: z up, the support surface is z = 0, the bin stands centred on the origin with its
-    edges along x and y (DESIGN section 2).
+edges along x and y (DESIGN section 2).
 """
 
 from __future__ import annotations
@@ -59,7 +59,8 @@ def add_support(
     solimp: tuple[float, ...],
 ) -> None:
     """Add the table plane "table" and, if given, the walls "bin_0".."bin_3" of the bin to the
-    world body."""
+    world body.
+    """
     common = {
         "contype": contype,
         "conaffinity": conaffinity,

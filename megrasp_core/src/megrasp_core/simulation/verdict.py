@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from megrasp_core.simulation.motion import (
+    WATCH_PERIOD,
     ContactWatch,
     Motion,
     Shake,
@@ -51,12 +52,12 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True)
 class TrialSettings:
-    """Numbers of the verdict; the defaults are DESIGN's and are not changed for any reported
-    figure.
+    """Numbers of the verdict; the defaults are DESIGN's and stay for every reported figure.
 
     close_ramp: the finger command goes from open to closed in this time and stays there till
         close_time.
-    bin_weight: upward pull (N) on table or bin, held for 50 ms, that counts as lifting the bin.
+    bin_weight: upward pull (N) on table or bin that, over 50 ms altogether, counts as lifting the
+        bin.
     """
 
     max_depth: float = 0.001
@@ -189,8 +190,7 @@ def _lift(world: World, pose: NDArray[np.float64], settings: TrialSettings, watc
 def shake_axes(
     world_from_gripper: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Two horizontal unit vectors (3,) at a right angle; the first along the closing axis as far
-    as it can.
+    """Two horizontal unit vectors (3,), the first along the closing axis as far as it can be.
 
     A vertical closing axis gives way to the gripper's Y axis.
     """
@@ -206,25 +206,22 @@ def shake_axes(
 class _BinPull:
     """Watches the upward force of the gripper on table and bin while it lifts.
 
-    The bin is fixed in the simulation; a pull above its weight for 50 ms would have taken it
-    along.
+    The bin is fixed in the simulation; a pull above its weight for 50 ms altogether (sliding
+    fingers stick and slip) would have taken it along.
     """
 
     def __init__(self, world: World, weight: float) -> None:
         self.world = world
         self.weight = weight
         self.lifted = False
-        self._since: float | None = None
+        self._looks = 0
 
     def __call__(self) -> bool:
         """Look at the forces; False once the bin counts as lifted."""
         _, touches = self.world.touched()
-        now = float(self.world.data.time)
-        if not touches or self._upward() < self.weight:
-            self._since = None
-            return True
-        self._since = now if self._since is None else self._since
-        self.lifted = now - self._since >= ContactWatch.GAP - 1e-9
+        if touches and self._upward() >= self.weight:
+            self._looks += 1
+        self.lifted = self._looks * WATCH_PERIOD >= ContactWatch.GAP - 1e-9
         return not self.lifted
 
     def _upward(self) -> float:

@@ -25,22 +25,19 @@ SCENERY, GRIPPER, GUARD = -1, -2, -3
 """Owners of geoms in `World.owner`; objects own theirs by index (0 and up)."""
 
 PARKED_AT = (20.0, 20.0, 5.0)
-"""Corner of the row where objects and gripper wait out of sight (m); weightless, so they stay
-there."""
+"""Corner of the row where objects and gripper wait, weightless and out of sight (m)."""
 
 
 @dataclass(frozen=True)
 class WorldState:
-    """What `World.save` keeps: MuJoCo's integration state and which objects were out of the
-    scene."""
+    """What `World.save` keeps: MuJoCo's integration state and the parked objects."""
 
     vector: NDArray[np.float64]
     parked: frozenset[int]
 
 
 class World:
-    """Objects, support and gripper with their MuJoCo model and data. Build it with
-    `build_world`."""
+    """Objects, support and gripper with their MuJoCo model and data; see `build_world`."""
 
     def __init__(
         self,
@@ -113,8 +110,7 @@ class World:
         return np.array(poses).reshape(-1, 4, 4)
 
     def set_object_poses(self, poses: NDArray[np.float64]) -> None:
-        """Put all objects at world-from-object `poses` (n, 4, 4), at rest, and take them into the
-        scene."""
+        """Put all objects into the scene, at rest, at world-from-object `poses` (n, 4, 4)."""
         if poses.shape != (len(self.objects), 4, 4):
             raise SimulationError(
                 f"object poses have shape {poses.shape}; expected ({len(self.objects)}, 4, 4)"
@@ -129,8 +125,7 @@ class World:
         return np.linalg.norm(velocity, axis=-1)
 
     def set_drag(self, rate: float) -> None:
-        """Brake all objects: speed with `rate` (1/s), rotation four times as strongly; 0 lets them
-        be."""
+        """Brake all objects: speed by `rate` (1/s), rotation four times as much; 0 ends it."""
         mass = self.model.body_mass[self._object_body]
         inertia = self.model.body_inertia[self._object_body].max(axis=1, initial=0.0)
         self.model.dof_damping[self._object_dof[:, :3]] = rate * mass[:, None]
@@ -199,8 +194,7 @@ class World:
         return float(max(0.0, -distance[involved].min(initial=0.0)))
 
     def touched(self) -> tuple[set[int], bool]:
-        """Objects in contact with the gripper after the last step, and whether it touches table or
-        bin."""
+        """Objects that touched the gripper in the last step, and whether table or bin did."""
         owner = self.owner[self.data.contact.geom]
         if owner.size == 0:
             return set(), False
@@ -218,8 +212,7 @@ class World:
         return WorldState(vector, self.parked)
 
     def restore(self, state: WorldState) -> None:
-        """Go back to a saved state; poses and contacts are brought up to date by the next step or
-        check."""
+        """Go back to a saved state; the next step or check updates poses and contacts."""
         mujoco.mj_setState(self.model, self.data, state.vector, STATE)
         self._parked = set(state.parked)
         gravcomp = np.zeros(len(self.objects))
@@ -231,8 +224,7 @@ class World:
         mujoco.mj_forward(self.model, self.data)
 
     def detect_contacts(self) -> None:
-        """Bring link poses and contacts up to date, nothing else (a third of the cost of
-        `forward`)."""
+        """Bring link poses and contacts up to date, at a third of the cost of `forward`."""
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_collision(self.model, self.data)
 

@@ -64,6 +64,7 @@ class SceneJudge:
             region=request.region,
             walls=request.walls,
             floor=plane,
+            surface_points=surface.points,
             settings=self.settings.observation,
         )
         self.material = self._material(surface, plane)

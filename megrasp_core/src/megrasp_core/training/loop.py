@@ -18,6 +18,7 @@ from ..diffusion import NoiseSchedule
 from ..errors import DataError
 from ..grippers import GripperTokens, load_gripper
 from ..network import GraspModel, save_model
+from ..pointcloud import SceneSettings
 from . import checkpoint
 from .batching import SceneSource
 from .config import Counters, TrainConfig
@@ -219,9 +220,19 @@ class _Run:
                 "training": self.config.to_dict(),
                 "trained_grippers": self.hashes,
                 "data_scenes": self.scenes,
+                "heads": self.heads(),
+                "scene": dataclasses.asdict(SceneSettings()),
                 "low_precision": self.config.low_precision,
             },
         )
+
+    def heads(self) -> list[str]:
+        """Heads that were trained and may be used."""
+        weights = {
+            "confidence": self.config.confidence_weight,
+            "graspability": self.config.graspability_weight,
+        }
+        return [name for name, weight in weights.items() if weight > 0]
 
     @torch.no_grad()
     def _validate(self, model: GraspModel) -> dict[str, float]:

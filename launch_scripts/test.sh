@@ -1,0 +1,41 @@
+#!/usr/bin/env bash
+# Sets up what is missing, then runs every check: ruff, pyright, all tests. Ends with pytest's summary; exit code 0
+# only if everything passed.
+#
+#   bash launch_scripts/test.sh [pytest arguments]
+#
+# Variables: those of setup.sh; MEGRASP_ASSETS, the folder of real grippers and objects (tests that need it are
+# skipped without); MEGRASP_JUNIT, a file for pytest's JUnit report.
+
+set -euo pipefail
+
+root="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)"
+cd "$root"
+bash launch_scripts/setup.sh
+. launch_scripts/env.sh
+
+# One thread for each of the many small processes: more only get in each other's way.
+export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}"
+# Here the ROS tests must run; elsewhere they are left out where ROS is missing.
+export MEGRASP_REQUIRE_ROS=1
+export PYTHONUNBUFFERED=1
+# Nothing here needs a display or OpenGL.
+unset MUJOCO_GL DISPLAY
+if [ -z "${ROS_LOG_DIR:-}" ]; then
+  ROS_LOG_DIR="$(mktemp -d)"
+  export ROS_LOG_DIR
+  trap 'rm -rf "$ROS_LOG_DIR"' EXIT
+fi
+
+status=0
+echo "[test] ruff"
+ruff check . || status=1
+echo "[test] pyright"
+pyright --pythonpath "$(command -v python)" || status=1
+
+echo "[test] pytest"
+options=(-q)
+if [ -n "${MEGRASP_JUNIT:-}" ]; then options+=("--junitxml=$MEGRASP_JUNIT"); fi
+python -m pytest "${options[@]}" "$@" || status=1
+
+exit "$status"

@@ -1,0 +1,206 @@
+"""`megrasp eval`, `megrasp bench` and `megrasp data samples`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from ..errors import InvalidRequestError
+from .common import Flag, emit, progress_bar, say
+
+if TYPE_CHECKING:
+    from ..evaluation.planner import Planner
+
+__all__ = ["bench", "evaluation", "samples"]
+
+
+def evaluation(
+    gripper: str,
+    out: Path,
+    protocol: Literal["binpick", "declutter", "single"] = "binpick",
+    gripper_path: Path | None = None,
+    objects: Path | None = None,
+    scenes: int = 50,
+    samples: int = 100,
+    drawn: int = 100,
+    returned: int = 20,
+    friction: float = 0.8,
+    model: str | None = None,
+    baseline: Flag = False,
+    device: str = "cpu",
+    threads: int | None = None,
+    seed: int = 1,
+) -> int:
+    """Success rates in simulation, with intervals.
+
+    binpick: a bin of 10 objects and 2 obstacles, one noisy top-down view, the first grasp is
+        executed
+    with its approach path until the bin is empty or the robot gives up. declutter: a heap on a
+    table, ten views. single: one object on a table.
+
+    Try:
+      megrasp eval --gripper robotiq_2f85 --out binpick.json
+      megrasp eval --gripper robotiq_2f85 --objects $MEGRASP_ASSETS/objects/devtest --scenes 50
+      --out binpick.json megrasp eval --gripper robotiq_2f85 --baseline --out baseline.json
+
+    Args:
+        gripper: name, or folder of a gripper.yaml.
+        out: result file (JSON).
+        protocol: what is run.
+        gripper_path: folder with more grippers.
+        objects: every folder below it that holds a meta.json; by default procedural objects.
+        scenes: bins or heaps.
+        samples: poses judged one by one per scene for the unfiltered and filtered rates; 0: only
+            first grasps.
+        drawn: poses drawn per synthesis.
+        returned: grasps returned per synthesis.
+        friction: of everything.
+        model: id or folder.
+        baseline: the analytic antipodal baseline instead of the model.
+        device: cpu or cuda.
+        threads: torch threads.
+        seed: of scenes, noise and samples.
+    """
+    from ..evaluation.object_pool import graspable_objects, load_pool
+    from ..evaluation.planner import AntipodalPlanner, ModelPlanner
+    from ..evaluation.protocols import ProtocolSettings
+    from ..evaluation.report import evaluate
+    from ..grippers import load_gripper
+    from ..synthesizer import GraspSynthesizer
+
+    settings = ProtocolSettings(
+        protocol=protocol, scenes=scenes, samples=samples, drawn=drawn, returned=returned,
+        friction=friction, seed=seed,
+    )  # fmt: skip
+    loaded = load_gripper(gripper, () if gripper_path is None else (gripper_path,))
+    planner: Planner
+    if baseline:
+        planner = AntipodalPlanner(loaded)
+    else:
+        planner = ModelPlanner(
+            GraspSynthesizer.load(model, loaded, device=device, threads=threads)
+        )
+    pool = load_pool(objects)
+    with progress_bar(len(pool), "graspable objects") as bar:
+        usable = graspable_objects(
+            loaded, pool, on_progress=lambda done, _: bar.update(done - bar.n)
+        )
+    say(f"{len(usable)} of {len(pool)} objects can be held by {loaded.name}")
+    place = "procedural" if objects is None else "/".join(objects.resolve().parts[-2:])
+    with progress_bar(settings.scenes, protocol) as bar:
+
+        def tell(done: int, result: object) -> None:
+            bar.update(done - bar.n)
+            content = result.to_json()  # type: ignore[attr-defined]
+            rates = {
+                key: f"{content[key]['successes']}/{content[key]['trials']}"
+                for key in ("first", "filtered", "unfiltered")
+                if key in content
+            }
+            bar.set_postfix(rates)
+            if bar.disable and done % 5 == 0:
+                say(
+                    f"{done} scenes: "
+                    + ", ".join(f"{key} {value}" for key, value in rates.items())
+                )
+
+        result = evaluate(settings, loaded, planner, pool, usable, objects=place, on_scene=tell)
+    content = result.to_json()
+    for key in ("first", "filtered", "unfiltered"):
+        if content.get(key, {}).get("trials"):
+            row = content[key]
+            low, high = row["ci95"]
+            say(
+                f"{key:>10}: {row['successes']}/{row['trials']} = {100 * row['rate']:.1f} % "
+                f"[{100 * low:.1f}, {100 * high:.1f}]"
+            )
+    emit(content, out)
+    return 0 if content["first"]["successes"] else 1
+
+
+def bench(
+    out: Path | None = None,
+    device: Literal["cpu", "cuda"] = "cpu",
+    stage: Literal["synthesis"] = "synthesis",
+    gripper: str = "robotiq_2f85",
+    model: str | None = None,
+    threads: int | None = None,
+    repeats: int = 7,
+) -> int:
+    """Seconds, CPU-seconds and memory of a synthesis, from cloud to ranked list.
+
+    Try:
+      megrasp bench --threads 2 --out bench.json
+
+    Args:
+        out: result file (JSON); by default printed.
+        device: cpu or cuda.
+        stage: what is timed.
+        gripper: name or folder.
+        model: id or folder.
+        threads: torch threads.
+        repeats: timed calls per row.
+    """
+    if repeats < 1:
+        raise InvalidRequestError(f"--repeats {repeats} was given; expected at least 1.")
+    from ..evaluation.bench import bench_synthesis
+    from ..synthesizer import GraspSynthesizer
+
+    synthesizer = GraspSynthesizer.load(model, gripper, device=device, threads=threads)
+    with progress_bar(None, stage) as bar:
+        content = bench_synthesis(
+            synthesizer, repeats=repeats, on_progress=lambda done, _: bar.update(done - bar.n)
+        )
+    emit(content, out)
+    return 0
+
+
+def samples(
+    data: Path,
+    out: Path,
+    model: str | None = None,
+    gripper: tuple[str, ...] = ("robotiq_2f85", "franka_hand", "robotiq_3f"),
+    samples: int = 48,
+    judged: int = 16,
+    scenes: int | None = None,
+    seed: int = 1,
+) -> int:
+    """The model's own samples in the scenes of a data set, labelled in simulation; resumable.
+
+    Try:
+      megrasp data samples --data data/scenes --model runs/small/model --out data/samples
+      megrasp train --data data/samples --heads-of runs/small/model --out runs/heads
+
+    Args:
+        data: folder of `data scenes`.
+        out: folder for the copies of the scenes that hold the new labels.
+        model: id or folder.
+        gripper: names of the grippers.
+        samples: drawn per scene and gripper.
+        judged: most of those free of collision that are tried in the heap.
+        scenes: only the first so many scenes.
+        seed: of the samples.
+    """
+    from ..datasets import ObjectSet
+    from ..network import load_model
+    from ..training.model_samples import SampleSettings, label_samples
+
+    won = tried = 0
+    with progress_bar(scenes, "samples") as bar:
+
+        def tell(done: int, total: int, counts: dict[str, tuple[int, int]]) -> None:
+            nonlocal won, tried
+            bar.total = total
+            bar.update(done - bar.n)
+            won += sum(c[0] for c in counts.values())
+            tried += sum(c[1] for c in counts.values())
+            if bar.disable and done % 20 == 0:
+                say(f"{done}/{total} scenes, {won} successes of {tried} labels")
+
+        written = label_samples(
+            data, out, load_model(model), gripper, ObjectSet(()),
+            SampleSettings(samples=samples, judged=judged, seed=seed),
+            indices=None if scenes is None else range(scenes), on_scene=tell,
+        )  # fmt: skip
+    say(f"wrote {written} scenes to {out}")
+    return 0

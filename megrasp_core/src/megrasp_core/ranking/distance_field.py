@@ -1,0 +1,83 @@
+"""Distances to a gripper's surface, looked up in a grid that is made once per gripper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+__all__ = ["DistanceField"]
+
+BEST = 64
+"""Points that are looked at again between the grid points."""
+
+
+@dataclass(frozen=True)
+class DistanceField:
+    """Unsigned distance to a set of surface points, cut off at `limit`.
+
+    Attributes:
+        low: (3,) float32, corner of the grid in the gripper frame (m).
+        spacing: of the grid (m).
+        values: (nx, ny, nz) float32 (m).
+        limit: the largest distance; points outside the grid have it.
+    """
+
+    low: np.ndarray
+    spacing: float
+    values: np.ndarray
+    limit: float
+
+    @classmethod
+    def around(cls, points: np.ndarray, limit: float, spacing: float = 0.004) -> DistanceField:
+        """Field of surface points (M, 3).
+
+        Args:
+            points: gripper frame (m), denser than the grid.
+            limit: largest distance (m).
+            spacing: of the grid (m).
+        """
+        low = points.min(axis=0) - limit
+        shape = np.ceil((points.max(axis=0) + limit - low) / spacing).astype(int) + 1
+        axes = [low[i] + spacing * np.arange(shape[i]) for i in range(3)]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        distance, _ = cKDTree(points).query(grid, distance_upper_bound=limit)
+        values = np.minimum(distance, limit).astype(np.float32).reshape(tuple(shape))
+        return cls(low.astype(np.float32), spacing, values, limit)
+
+    @property
+    def reach(self) -> float:
+        """Largest distance of the grid from the origin of the gripper frame (m)."""
+        high = self.low + self.spacing * np.array(self.values.shape)
+        return float(np.linalg.norm(np.maximum(np.abs(self.low), np.abs(high))))
+
+    def least(self, points: np.ndarray) -> float:
+        """Least distance of points (3, P) float32 in the gripper frame, `limit` without any (m).
+
+        All points are looked up at their nearest grid point, the best ones again in between.
+        """
+        scale = np.float32(1.0 / self.spacing)
+        at = (points - self.low[:, None]) * scale
+        nx, ny, nz = self.values.shape
+        x, y, z = at
+        inside = (x >= 0) & (x < nx - 1) & (y >= 0) & (y < ny - 1) & (z >= 0) & (z < nz - 1)
+        at = at[:, inside]
+        if at.shape[1] == 0:
+            return self.limit
+        near = (at + np.float32(0.5)).astype(np.int32)
+        rough = self.values.ravel()[(near[0] * ny + near[1]) * nz + near[2]]
+        if at.shape[1] > BEST:
+            at = at[:, np.argpartition(rough, BEST)[:BEST]]
+        return float(self._between(at).min())
+
+    def _between(self, at: np.ndarray) -> np.ndarray:
+        """Trilinear values (P,) at grid coordinates (3, P)."""
+        cell = at.astype(np.int32)
+        part = at - cell
+        total = np.zeros(at.shape[1], dtype=np.float32)
+        for corner in range(8):
+            step = np.array([(corner >> k) & 1 for k in range(3)])[:, None]
+            weight = np.where(step == 1, part, 1.0 - part).prod(axis=0)
+            total += weight * self.values[tuple(cell + step)]
+        return total

@@ -1,0 +1,87 @@
+"""Executors: order, failures, killed workers, cancelling, and what a wrong request says."""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+
+import pytest
+from executor_units import die_on_three, die_once, square, thread_setting
+
+from megrasp_core.datasets import ExecutorConfig, run_units
+from megrasp_core.errors import DataError, InvalidRequestError
+
+
+def run(config: ExecutorConfig, function, units):
+    results, steps = {}, []
+    summary = run_units(
+        function, units, config, on_result=results.__setitem__, on_progress=steps.append
+    )
+    return results, steps, summary
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_results_failures_and_progress(workers):
+    results, steps, summary = run(ExecutorConfig(workers=workers), square, range(6))
+    assert results == {0: 0, 1: 1, 2: 4, 4: 16, 5: 25}
+    assert summary.failed == [(3, "ValueError: three is not wanted")]
+    assert summary.done == 5 and not summary.cancelled
+    assert [(s.done + s.failed, s.total) for s in steps] == [(n, 6) for n in range(1, 7)]
+
+
+def test_serial_run_keeps_the_order():
+    seen = []
+    run_units(square, [5, 1, 4], on_result=lambda unit, _: seen.append(unit))
+    assert seen == [5, 1, 4]
+
+
+def test_a_killed_worker_loses_its_unit_only_for_the_moment(tmp_path):
+    results, _, summary = run(
+        ExecutorConfig(workers=2), functools.partial(die_once, folder=str(tmp_path)), range(6)
+    )
+    assert (tmp_path / "died").exists()
+    assert results == {n: n for n in range(6)}
+    assert not summary.failed
+
+
+def test_a_unit_that_always_kills_its_worker_does_not_stop_the_rest():
+    results, _, summary = run(ExecutorConfig(workers=1 + 1, attempts=4), die_on_three, range(7))
+    assert set(results) | {3} == set(range(7))
+    assert 3 not in results
+    assert "died 4 times" in dict(summary.failed)[3]
+
+
+def test_workers_get_one_thread_and_the_callers_environment_stays(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    results, _, _ = run(ExecutorConfig(workers=2), thread_setting, range(2))
+    assert results == {0: ("1", True), 1: ("1", True)}
+    assert os.environ["OMP_NUM_THREADS"] == "7"
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_ctrl_c_keeps_what_is_done(workers):
+    kept = []
+
+    def stop_after_two(unit: int, _: int) -> None:
+        kept.append(unit)
+        if len(kept) == 2:
+            raise KeyboardInterrupt
+
+    summary = run_units(
+        square, [0, 1, 2, 4, 5], ExecutorConfig(workers=workers), on_result=stop_after_two
+    )
+    assert summary.cancelled
+    assert len(kept) == 2 and summary.done == 1
+
+
+def test_wrong_requests_say_what_is_expected(monkeypatch):
+    with pytest.raises(InvalidRequestError, match=r"workers is 0; expected 1 or more"):
+        run(ExecutorConfig(workers=0), square, [1])
+    with pytest.raises(
+        InvalidRequestError, match=r"unknown executor 'slurm'; expected local or ray"
+    ):
+        run(ExecutorConfig(kind="slurm"), square, [1])  # type: ignore[arg-type]
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(DataError, match=r"pip install ray.*--executor local"):
+        run(ExecutorConfig(kind="ray"), square, [1])

@@ -1,0 +1,145 @@
+"""The grasp library and scene recipes as files: rounding, size limit, damage."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from dataset_records import record
+
+from megrasp_core.datasets import (
+    GraspLibrary,
+    GraspSet,
+    ObjectSet,
+    library_stats,
+    load_library,
+    pack_library,
+    procedural_names,
+    read_recipes,
+    write_grasp_set,
+    write_recipes,
+)
+from megrasp_core.datasets.library import thinned
+from megrasp_core.errors import DataError, ObjectError
+
+
+def grasp_set(gripper: str, name: str, count: int, seed: int) -> GraspSet:
+    rng = np.random.default_rng(seed)
+    pose = rng.normal(size=(count, 7))
+    pose[:, :3] = rng.uniform(-0.3, 0.3, size=(count, 3))
+    pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
+    success = rng.random(count) < 0.6
+    reason = np.where(success, "", rng.choice(["slipped", "no_contact"], count))
+    return GraspSet(gripper, "hash", name, pose, success, reason, 3 * count, count)
+
+
+def assert_close(first: GraspSet, second: GraspSet) -> None:
+    for name in ("gripper", "gripper_hash", "object_name", "drawn", "tried"):
+        assert getattr(first, name) == getattr(second, name)
+    np.testing.assert_array_equal(first.success, second.success)
+    np.testing.assert_array_equal(first.reason, second.reason)
+    np.testing.assert_allclose(
+        first.object_from_tcp[:, :3], second.object_from_tcp[:, :3], atol=0.6e-5
+    )
+    cosine = np.abs((first.object_from_tcp[:, 3:] * second.object_from_tcp[:, 3:]).sum(1))
+    assert (2 * np.arccos(np.minimum(cosine, 1)) < np.deg2rad(0.01)).all()
+
+
+def test_a_library_comes_back_from_its_folder_and_from_one_packed_file(tmp_path):
+    sets = [
+        grasp_set("jaw", "asset/train/ycb/cup", 30, 0),
+        grasp_set("jaw", "procedural/000001", 0, 1),
+        grasp_set("claw", "asset/train/ycb/cup", 12, 2),
+    ]
+    for entry in sets:
+        write_grasp_set(tmp_path / "work", entry)
+    size = pack_library(load_library(tmp_path / "work"), tmp_path / "packed.npz")
+    assert size == (tmp_path / "packed.npz").stat().st_size
+    for source in (tmp_path / "work", tmp_path / "packed.npz"):
+        library = load_library(source)
+        assert len(library) == 3
+        for entry in sets:
+            found = library.get(entry.gripper, entry.object_name)
+            assert found is not None
+            assert_close(entry, found)
+        assert library.objects() == ["asset/train/ycb/cup"]
+        assert library.objects(["jaw"]) == ["asset/train/ycb/cup", "procedural/000001"]
+    assert library.get("claw", "procedural/000001") is None
+
+
+def test_the_size_limit_is_kept(tmp_path):
+    library = GraspLibrary([grasp_set("jaw", "a", 500, 0)])
+    with pytest.raises(DataError, match="expected at most 1000"):
+        pack_library(library, tmp_path / "packed.npz", limit=1000)
+    assert not (tmp_path / "packed.npz").exists()
+    # 14 bytes a pose before compression: what is committed stays small.
+    assert pack_library(library, tmp_path / "packed.npz") < 500 * 16 + 2000
+
+
+def test_thinning_keeps_successes_and_some_failures():
+    entry = grasp_set("jaw", "a", 100, 4)
+    thin = thinned(entry, 5)
+    assert thin.success.sum() == entry.success.sum()
+    assert (~thin.success).sum() == 5
+    np.testing.assert_array_equal(thin.successes, entry.successes)
+
+
+def test_stats_of_a_library():
+    library = GraspLibrary([grasp_set("jaw", "a", 10, 0), grasp_set("jaw", "b", 0, 1)])
+    stats = library_stats(library)["jaw"]
+    assert stats["objects"] == 2 and stats["objects_with_success"] == 1
+    assert stats["successes"] + stats["failures_kept"] == 10
+    assert stats["trials"] == 10 and stats["drawn"] == 30
+
+
+def test_wrong_files_are_named(tmp_path):
+    with pytest.raises(DataError, match=r"no \.npz; expected a grasp library"):
+        load_library(tmp_path)
+    with pytest.raises(DataError, match="no file"):
+        load_library(tmp_path / "none.npz")
+    np.savez(tmp_path / "other.npz", points=np.zeros(3))
+    with pytest.raises(DataError, match="is no grasp library"):
+        load_library(tmp_path / "other.npz")
+    with pytest.raises(DataError, match="no scene recipes"):
+        read_recipes(tmp_path / "other.npz")
+
+
+def test_far_grasps_are_refused_not_wrapped(tmp_path):
+    entry = grasp_set("jaw", "a", 3, 0)
+    entry.object_from_tcp[1, 0] = 0.5
+    with pytest.raises(DataError, match=r"0\.32 m"):
+        pack_library(GraspLibrary([entry]), tmp_path / "packed.npz")
+    assert not (tmp_path / "packed.npz").exists()
+
+
+def test_recipes_keep_object_poses_exactly_and_grasps_within_rounding(tmp_path):
+    records = [record(seed, in_bin=seed != 2) for seed in range(6)]
+    size = write_recipes(tmp_path / "recipes.npz", records)
+    assert size < 6 * 1500
+    found = read_recipes(tmp_path / "recipes.npz")
+    assert len(found) == 6
+    for a, b in zip(records, found):
+        assert (a.name, a.seed, a.object_names, a.bin_inner) == (
+            b.name,
+            b.seed,
+            b.object_names,
+            b.bin_inner,
+        )
+        assert a.object_poses.tobytes() == b.object_poses.tobytes()
+        np.testing.assert_array_equal(a.obstacle, b.obstacle)
+        assert sorted(a.labels) == sorted(b.labels)
+        for gripper, first in a.labels.items():
+            second = b.labels[gripper]
+            for name in ("object", "label", "kind", "reason"):
+                np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+            np.testing.assert_allclose(first.world_from_tcp, second.world_from_tcp, atol=3e-5)
+
+
+def test_object_names_bring_models_back_and_wrong_ones_are_named(monkeypatch):
+    monkeypatch.delenv("MEGRASP_ASSETS", raising=False)
+    objects = ObjectSet(procedural_names(2))
+    assert objects["procedural/000001"] is objects["procedural/000001"]
+    assert objects["obstacle/000004"].extents.max() > objects["procedural/000001"].extents.max()
+    with pytest.raises(ObjectError, match="unknown object 'cup'; expected"):
+        objects["cup"]
+    with pytest.raises(ObjectError, match="MEGRASP_ASSETS"):
+        objects["asset/train/ycb/cup"]

@@ -1,0 +1,170 @@
+"""Shards: round trips, resuming, reading while it grows, damaged files, and what verify finds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from dataset_records import assert_equal, record
+
+from megrasp_core.datasets import (
+    Kind,
+    SceneDataset,
+    SceneWriter,
+    record_problems,
+    scene_stats,
+    verify_dataset,
+)
+from megrasp_core.errors import DataError
+
+MANIFEST = {"config": {"judged": 8}, "grippers": {"first": "a", "second": "b", "third": "c"}}
+
+
+def test_records_come_back_bit_for_bit_from_loose_files_and_shards(tmp_path):
+    writer = SceneWriter(tmp_path, MANIFEST, shard_size=3)
+    written = [record(seed, in_bin=seed % 2 == 0) for seed in range(5)]
+    for one in written:
+        writer.add(one)
+    writer.close()
+    assert len(list((tmp_path / "shards").glob("*.npz"))) == 1
+    assert len(list((tmp_path / "scenes").glob("*.npz"))) == 2
+    dataset = SceneDataset(tmp_path)
+    assert len(dataset) == 5 and len(list(dataset)) == 5
+    for expected, found in zip(written, dataset):
+        assert_equal(expected, found)
+    assert dataset.manifests[0]["counts"] == {"scenes": 5}
+
+
+def test_a_data_set_opened_before_its_scenes_move_into_a_shard_stays_readable(tmp_path):
+    writer = SceneWriter(tmp_path, MANIFEST, shard_size=3)
+    writer.add(record(0))
+    writer.add(record(1))
+    dataset = SceneDataset(tmp_path)
+    writer.add(record(2))
+    assert not list((tmp_path / "scenes").glob("*.npz"))
+    assert_equal(dataset[1], record(1))
+    assert_equal(dataset[0], record(0))
+
+
+def test_a_writer_continues_what_it_finds(tmp_path):
+    first = SceneWriter(tmp_path, MANIFEST, shard_size=2)
+    for seed in (4, 7, 9):
+        first.add(record(seed))
+    second = SceneWriter(tmp_path, MANIFEST, shard_size=2)
+    assert [seed in second for seed in (4, 5, 7, 9)] == [True, False, True, True]
+    second.add(record(5))
+    assert len(second) == 4
+    assert [r.seed for r in SceneDataset(tmp_path)] == [4, 5, 7, 9]
+
+
+def test_a_kill_between_shard_and_removal_counts_no_scene_twice(tmp_path):
+    writer = SceneWriter(tmp_path, MANIFEST, shard_size=2)
+    writer.add(record(0))
+    copy = (tmp_path / "scenes" / "scene_0000000000.npz").read_bytes()
+    writer.add(record(1))
+    (tmp_path / "scenes" / "scene_0000000000.npz").write_bytes(copy)
+    assert SceneDataset(tmp_path).names == ["scene_0000000000", "scene_0000000001"]
+
+
+def test_several_folders_read_as_one(tmp_path):
+    for name, seed in (("a", 3), ("b", 1)):
+        SceneWriter(tmp_path / name, MANIFEST).add(record(seed))
+    assert [r.seed for r in SceneDataset([tmp_path / "a", tmp_path / "b"])] == [3, 1]
+
+
+def test_another_config_is_refused_by_name_and_leaves_the_folder_alone(tmp_path):
+    SceneWriter(tmp_path, MANIFEST).add(record(0))
+    before = (tmp_path / "manifest.json").read_bytes()
+    with pytest.raises(DataError, match=r"differs in config; expected the same.*--out"):
+        SceneWriter(tmp_path, {**MANIFEST, "config": {"judged": 9}})
+    assert (tmp_path / "manifest.json").read_bytes() == before
+
+
+def test_missing_and_damaged_data_are_named(tmp_path):
+    with pytest.raises(DataError, match=r"no file .*manifest\.json"):
+        SceneDataset(tmp_path)
+    writer = SceneWriter(tmp_path, MANIFEST)
+    for seed in range(3):
+        writer.add(record(seed))
+    (tmp_path / "scenes" / "scene_0000000001.npz").write_bytes(b"no archive at all")
+    assert_equal(SceneDataset(tmp_path)[0], record(0))
+    with pytest.raises(DataError, match=r"scene_0000000001\.npz is damaged"):
+        SceneDataset(tmp_path)[1]
+    problems = verify_dataset(tmp_path)
+    assert len(problems) == 1 and problems[0].startswith("scene_0000000001: ")
+
+
+def test_half_written_files_are_not_scenes(tmp_path):
+    writer = SceneWriter(tmp_path, MANIFEST)
+    writer.add(record(0))
+    (tmp_path / "scenes" / ".scene_0000000001.npz.123.part").write_bytes(b"half")
+    assert len(SceneDataset(tmp_path)) == 1
+    assert verify_dataset(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda r: {"points": np.full_like(r.points, np.nan)}, "not finite"),
+        (lambda r: {"normals": r.normals // 3}, "not of unit length"),
+        (lambda r: {"normals": r.normals[:-1]}, "do not match the points"),
+        (lambda r: {"obstacle": r.obstacle[:-1]}, "do not match the object names"),
+        (lambda r: {"object_names": r.object_names[:1]}, "do not match the object names"),
+        (lambda r: {"labels": {"first": r.labels["first"]}}, "expected"),
+        (
+            lambda r: {
+                "labels": {
+                    **r.labels,
+                    "first": replace(r.labels["first"], object=r.labels["first"].object + 9),
+                }
+            },
+            "belongs to no object",
+        ),
+        (
+            lambda r: {
+                "labels": {
+                    **r.labels,
+                    "first": replace(
+                        r.labels["first"],
+                        label=np.ones(7, np.int8),
+                        kind=np.full(7, Kind.COLLISION, np.int8),
+                    ),
+                }
+            },
+            "colliding grasp is labelled a success",
+        ),
+        (
+            lambda r: {
+                "labels": {
+                    **r.labels,
+                    "first": replace(
+                        r.labels["first"], world_from_tcp=r.labels["first"].world_from_tcp * 2
+                    ),
+                }
+            },
+            "quaternions",
+        ),
+    ],
+)
+def test_verify_names_what_is_wrong_with_a_record(change, expected):
+    good = record(0)
+    grippers = set(MANIFEST["grippers"])
+    assert record_problems(good, grippers) == []
+    problems = record_problems(replace(good, **change(good)), grippers)
+    assert any(expected in problem for problem in problems), problems
+
+
+def test_stats_count_labels(tmp_path):
+    writer = SceneWriter(tmp_path, MANIFEST)
+    records = [record(seed, in_bin=seed != 1) for seed in range(4)]
+    for one in records:
+        writer.add(one)
+    stats = scene_stats(tmp_path)
+    assert stats["scenes"] == 4 and stats["in_bin"] == 3
+    assert stats["mean_objects"] == 3 and stats["mean_points"] == 50
+    held = sum(int(r.labels["first"].label.sum()) for r in records)
+    first = stats["grippers"]["first"]
+    assert first["labels"] == {"judged_success": held, "collision_failure": 28 - held}
+    assert first["successes_per_scene"] == held / 4
+    assert stats["grippers"]["second"]["scenes_with_success"] == 0

@@ -1,0 +1,178 @@
+"""grasp_server from its start to its end: the installed executable with a network, lifecycle,
+signals.
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from cell_processes import WAIT, processes
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from megrasp_msgs.msg import ErrorCode, OrientedBox
+from megrasp_msgs.srv import SynthesizeGrasps
+from server_client import (
+    START,
+    Client,
+    domain,
+    result,
+    running_server,
+    seconds_since,
+    stamped_cloud,
+    table_points,
+)
+
+from megrasp_core.grippers import load_gripper
+from megrasp_core.network import GraspModel, ModelConfig, save_model
+from megrasp_ros.conversions import matrix_from_pose
+
+
+@pytest.fixture(scope="module")
+def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return an untrained model, small enough for any machine."""
+    torch.manual_seed(0)
+    config = ModelConfig(
+        fine_irreps="8x0e+4x1o+2x2e",
+        coarse_irreps="8x0e+4x1o+2x2e",
+        token_irreps="8x0e+4x1o+2x2e",
+        blocks=(1, 1, 1),
+        width=32,
+        heads=2,
+        decoder_blocks=1,
+        scene_tokens=(16, 8, 8),
+    )
+    folder = tmp_path_factory.mktemp("models") / "untrained"
+    trained = {"robotiq_2f85": load_gripper("robotiq_2f85").hash}
+    save_model(GraspModel(config), folder, {"trained_grippers": trained})
+    return folder
+
+
+def test_a_network_answers_and_damaged_weights_are_error_300(
+    model_folder: Path, tmp_path: Path
+) -> None:
+    damaged = tmp_path / "damaged"
+    damaged.mkdir()
+    for file in model_folder.iterdir():
+        data = file.read_bytes()
+        (damaged / file.name).write_bytes(
+            data[: len(data) // 2] if file.suffix == ".safetensors" else data
+        )
+    start = {
+        "model": str(damaged),
+        "device": "cpu",
+        "threads": 1,
+        "sensor_origin": [0.0, 0.0, 0.85],
+    }
+    with running_server(2, tmp_path, double=False, **start) as (client, running):
+        request = {
+            "num_grasps": 10,
+            "cloud": stamped_cloud(client.node, table_points()),
+            "seed": 3,
+        }
+        refused = client.synthesize(**request)
+        assert refused.error_code == ErrorCode.MODEL_NOT_LOADED
+        assert "damaged" in refused.error_msg
+        # Grippers work all the same.
+        assert client.set_gripper("robotiq_3f").success
+        assert not client.parameters(model="no_such_model")
+        refused = client.synthesize(**request)
+        assert refused.error_code == ErrorCode.MODEL_NOT_LOADED
+        assert "no_such_model" in refused.error_msg
+
+        assert not client.parameters(model=str(model_folder))
+        check_real_answers(client, request)
+        # SIGTERM while idle; the other test sends SIGINT at work.
+        assert running.stop("grasp_server", signal.SIGTERM) == 0
+        assert "Traceback" not in running.log("grasp_server")
+
+
+def check_real_answers(client: Client, request: dict) -> None:
+    """Check what an untrained network answers: grasps or none are both right, but all has to fit
+    together.
+    """
+    found_or_not = (ErrorCode.NONE, ErrorCode.NO_GRASP_FOUND)
+    for name in ("robotiq_3f", "robotiq_2f85"):
+        info = client.set_gripper(name).gripper
+        assert info.seen_in_training == (name == "robotiq_2f85")
+        first, again = client.synthesize(**request), client.synthesize(**request)
+        assert first.error_code in found_or_not, first.error_msg
+        assert first.grasps.grasps == again.grasps.grasps
+        assert (first.grasps.model_id, first.grasps.gripper, first.grasps.seed) == (
+            "untrained",
+            name,
+            3,
+        )
+        assert sum(each.count for each in first.rejected) + len(first.grasps.grasps) == 100
+        assert first.timing.sample > 0
+        for grasp in first.grasps.grasps:
+            pregrasp, tcp = matrix_from_pose(grasp.pregrasp, "p"), matrix_from_pose(grasp.tcp, "t")
+            np.testing.assert_allclose(
+                pregrasp @ load_gripper(name).gripper_from_tcp, tcp, atol=1e-6
+            )
+    far = OrientedBox()
+    far.pose.position.x = 5.0
+    far.size.x = far.size.y = far.size.z = 0.1
+    nothing = client.synthesize(**request, region=far)
+    assert nothing.error_code == ErrorCode.EMPTY_REGION, nothing.error_msg
+    handle = client.goal(**request)
+    finished = handle.get_result_async()
+    handle.cancel_goal_async()
+    assert result(finished).result.error_code in (ErrorCode.CANCELLED, *found_or_not)
+
+
+def test_a_wrong_parameter_ends_the_node_with_code_2(tmp_path: Path) -> None:
+    with processes(domain(3), tmp_path) as running:
+        process = running.start("grasp_server", gravity=[1.0, 2.0])
+        assert process.wait(START) == 2
+        log = running.log("grasp_server")
+        assert "gravity" in log
+        assert "expected 3 finite numbers" in log
+        assert "Traceback" not in log
+
+
+def test_a_lifecycle_manager_can_own_the_node_and_sigint_ends_it_at_work(tmp_path: Path) -> None:
+    with running_server(4, tmp_path, autostart=False, model="slow", device="cpu") as (
+        client,
+        running,
+    ):
+        change = client.node.create_client(ChangeState, "grasp_server/change_state")
+        get = client.node.create_client(GetState, "grasp_server/get_state")
+        assert change.wait_for_service(timeout_sec=WAIT)
+        assert get.wait_for_service(timeout_sec=WAIT)
+        cloud = stamped_cloud(client.node, table_points())
+
+        def go(transition: int) -> int:
+            request = ChangeState.Request(transition=Transition(id=transition))
+            assert result(change.call_async(request)).success
+            return result(get.call_async(GetState.Request())).current_state.id
+
+        def answer() -> int:
+            return client.synthesize(num_grasps=1, cloud=cloud, timeout=0.3).error_code
+
+        assert answer() == ErrorCode.NOT_ACTIVE
+        refused = client.set_gripper("robotiq_3f")
+        assert refused.error_code == ErrorCode.NOT_ACTIVE
+        assert "ros2 lifecycle set /grasp_server configure" in refused.error_msg
+        assert go(Transition.TRANSITION_CONFIGURE) == State.PRIMARY_STATE_INACTIVE
+        assert answer() == ErrorCode.NOT_ACTIVE
+        assert go(Transition.TRANSITION_ACTIVATE) == State.PRIMARY_STATE_ACTIVE
+        assert answer() == ErrorCode.TIMEOUT
+        working = client.start(SynthesizeGrasps.Request(num_grasps=1, cloud=cloud))
+        assert go(Transition.TRANSITION_DEACTIVATE) == State.PRIMARY_STATE_INACTIVE
+        assert result(working).error_code in (ErrorCode.CANCELLED, ErrorCode.NOT_ACTIVE)
+        assert answer() == ErrorCode.NOT_ACTIVE
+        assert go(Transition.TRANSITION_CLEANUP) == State.PRIMARY_STATE_UNCONFIGURED
+        assert go(Transition.TRANSITION_CONFIGURE) == State.PRIMARY_STATE_INACTIVE
+        assert go(Transition.TRANSITION_ACTIVATE) == State.PRIMARY_STATE_ACTIVE
+        assert answer() == ErrorCode.TIMEOUT
+
+        client.start(SynthesizeGrasps.Request(num_grasps=1, cloud=cloud))
+        start = time.monotonic()
+        assert running.stop("grasp_server", signal.SIGINT) == 0
+        assert seconds_since(start) < 5.0
+        assert "Traceback" not in running.log("grasp_server")

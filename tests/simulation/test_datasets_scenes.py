@@ -1,0 +1,270 @@
+"""The data generator on real physics: what it calls a success is one, and a seed is a scene."""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from megrasp_core.datasets import (
+    ExecutorConfig,
+    GraspLibrary,
+    Kind,
+    LabelSettings,
+    LibraryConfig,
+    ObjectSet,
+    SceneConfig,
+    SceneDataset,
+    SceneJob,
+    SceneRecord,
+    build_scene,
+    generate_library,
+    generate_scenes,
+    label_object,
+    load_library,
+    pack_library,
+    procedural_names,
+    read_recipes,
+    record_problems,
+    scene_picture,
+    verify_dataset,
+    with_cloud,
+    write_recipes,
+)
+from megrasp_core.errors import DataError
+from megrasp_core.grippers import Gripper, load_gripper
+from megrasp_core.lie.pose import matrix_from_pose7
+from megrasp_core.simulation import (
+    Bin,
+    FreeSpaceRig,
+    World,
+    approach_path,
+    build_world,
+    judge,
+    start_depths,
+)
+
+OBJECTS = ObjectSet(procedural_names(5))
+LABELS = LabelSettings(count=60, trials=8, target=6)
+CONFIG = SceneConfig(
+    ("robotiq_2f85",),
+    objects=(3, 4),
+    bin_share=1.0,
+    obstacle_share=0.0,
+    image=(320, 240),
+    judged=4,
+    perturbed=1,
+    colliding=6,
+)
+
+
+@pytest.fixture(scope="module")
+def gripper() -> Gripper:
+    return load_gripper("robotiq_2f85")
+
+
+@pytest.fixture(scope="module")
+def packed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("library")
+    config = LibraryConfig(("robotiq_2f85",), OBJECTS, settings=LABELS)
+    summary = generate_library(folder / "work", config)
+    assert summary.done == 5 and not summary.failed
+    before = {path: path.read_bytes() for path in (folder / "work").rglob("*.npz")}
+    again = generate_library(folder / "work", config)
+    assert again.done == 0, "a finished library is not made again"
+    assert before == {path: path.read_bytes() for path in (folder / "work").rglob("*.npz")}
+    pack_library(load_library(folder / "work"), folder / "library.npz")
+    return folder / "library.npz"
+
+
+@pytest.fixture(scope="module")
+def library(packed: Path) -> GraspLibrary:
+    return load_library(packed)
+
+
+@pytest.fixture(scope="module")
+def scene(library: GraspLibrary) -> SceneRecord:
+    return build_scene(3, CONFIG, library, OBJECTS)
+
+
+def frozen(value: object) -> object:
+    """A value to compare bit for bit."""
+    if isinstance(value, np.ndarray):
+        return (value.dtype.str, value.shape, value.tobytes())
+    if is_dataclass(value):
+        return {one.name: frozen(getattr(value, one.name)) for one in fields(value)}
+    if isinstance(value, dict):
+        return {key: frozen(one) for key, one in value.items()}
+    return value
+
+
+def world_of(scene: SceneRecord, gripper: Gripper) -> World:
+    return build_world(
+        [OBJECTS[name] for name in scene.object_names],
+        gripper=gripper,
+        bin=None if scene.bin_inner is None else Bin(scene.bin_inner),
+        object_poses=matrix_from_pose7(scene.object_poses.astype(float)),
+        visual=False,
+    )
+
+
+def gripper_poses(scene: SceneRecord, gripper: Gripper, rows: np.ndarray) -> np.ndarray:
+    poses = matrix_from_pose7(scene.labels[gripper.name].world_from_tcp[rows].astype(float))
+    return poses @ np.linalg.inv(gripper.gripper_from_tcp)
+
+
+def test_free_space_labels_hold_when_tried_again(library, gripper):
+    for name in OBJECTS.names:
+        entry = library.get("robotiq_2f85", name)
+        assert entry is not None and entry.gripper_hash == gripper.hash
+        assert entry.success.sum() >= 4, name
+        assert (entry.reason[entry.success] == "").all()
+        assert (entry.reason[~entry.success] != "").all()
+        assert "start_collision" not in entry.reason
+    entry = library.get("robotiq_2f85", OBJECTS.names[0])
+    rig = FreeSpaceRig(gripper, OBJECTS[OBJECTS.names[0]])
+    poses = matrix_from_pose7(entry.successes) @ np.linalg.inv(gripper.gripper_from_tcp)
+    # Poses were rounded to 0.01 mm in between, so not every one need repeat.
+    assert sum(rig.trial(pose).success for pose in poses) >= len(poses) - 1
+
+
+def test_labelling_stops_at_its_target_and_repeats_with_its_seed(gripper):
+    model = OBJECTS[OBJECTS.names[1]]
+    settings = replace(LABELS, target=2)
+    first = label_object(gripper, model, 60, 1, settings=settings)
+    second = label_object(gripper, model, 60, 1, settings=settings)
+    other = label_object(gripper, model, 60, 2, settings=settings)
+    assert first.success.sum() == 2 and first.tried <= 8 and first.drawn >= first.tried
+    assert frozen(first) == frozen(second)
+    assert frozen(first.object_from_tcp) != frozen(other.object_from_tcp)
+
+
+def test_a_hopeless_object_is_given_up(gripper):
+    # No start position of the fingers fits around it, so all candidates collide or miss.
+    entry = label_object(gripper, OBJECTS["obstacle/000001"], 30, 0, settings=LABELS)
+    assert entry.drawn <= 30 and entry.success.sum() == 0
+
+
+def test_the_same_seed_gives_the_same_scene_bit_for_bit(scene, library):
+    assert frozen(scene) == frozen(build_scene(3, CONFIG, library, OBJECTS))
+    assert frozen(scene.points) != frozen(build_scene(4, CONFIG, library, OBJECTS).points)
+
+
+def test_a_record_is_sound_and_looks_like_its_scene(scene):
+    assert record_problems(scene, {"robotiq_2f85"}) == []
+    points, normals = scene.surface()
+    half = np.array(scene.bin_inner) / 2
+    margin = CONFIG.surface.region_margin + 0.001
+    assert (np.abs(points[:, :2]) <= half[:2] + margin).all()
+    assert abs(np.median(points[scene.on_plane, 2])) < 0.003
+    assert (normals[scene.on_plane] @ [0, 0, 1]).mean() > 0.9
+    # Every object that nothing covers is seen: points lie near the highest object's centre.
+    highest = scene.object_poses[np.argmax(scene.object_poses[:, 2]), :3]
+    assert np.linalg.norm(points[:, :2] - highest[:2], axis=1).min() < 0.02
+
+
+def test_labels_are_what_the_simulation_says(scene, gripper):
+    labels = scene.labels["robotiq_2f85"]
+    world = world_of(scene, gripper)
+    back = np.eye(4)
+    back[2, 3] = -CONFIG.approach
+    rows = np.flatnonzero((labels.label == 1) | (labels.kind == Kind.JUDGED))
+    assert (labels.label == 1).sum() >= 4
+    poses = gripper_poses(scene, gripper, rows)
+    assert (start_depths(world, poses) <= 0.0011).all()
+    for pose in poses:
+        assert start_depths(world, approach_path(pose @ back, pose)).max() <= 0.0011
+    tilt = -matrix_from_pose7(labels.world_from_tcp.astype(float))[:, 2, 2]
+    kept = labels.kind != Kind.PERTURBED
+    assert (tilt[kept] >= np.cos(CONFIG.tilt_bin) - 1e-6).all()
+    colliding = np.flatnonzero(labels.kind == Kind.COLLISION)
+    assert len(colliding) and (labels.label[colliding] == 0).all()
+    for pose, reason in zip(gripper_poses(scene, gripper, colliding), labels.reason[colliding]):
+        if reason == "start_collision":
+            assert start_depths(world, pose[None])[0] > 0.0009
+        else:
+            assert start_depths(world, approach_path(pose @ back, pose)).max() > 0.0009
+
+
+def test_judged_labels_agree_with_the_verdict_without_sleeping_bodies(scene, gripper):
+    labels = scene.labels["robotiq_2f85"]
+    world = world_of(scene, gripper)
+    start = world.save()
+    rows = np.flatnonzero(labels.kind == Kind.JUDGED)
+    same = []
+    for row, pose in zip(rows, gripper_poses(scene, gripper, rows)):
+        world.restore(start)
+        verdict = judge(world, pose)
+        same.append(verdict.success == bool(labels.label[row]))
+        if verdict.success and same[-1]:
+            assert verdict.target == labels.object[row]
+    # Symmetric copies inherit their label, and poses are rounded to float32: one may differ.
+    assert len(same) >= 4 and sum(same) >= len(same) - 1
+
+
+def test_no_obstacle_is_ever_a_target(library):
+    config = replace(
+        CONFIG, obstacle_share=1.0, objects=(2, 2), judged=3, bin_inner=(0.5, 0.4, 0.15)
+    )
+    record = build_scene(11, config, library, OBJECTS)
+    assert record.obstacle.any() and not record.obstacle.all()
+    for labels in record.labels.values():
+        held = labels.object[labels.label == 1]
+        assert not record.obstacle[held].any()
+
+
+def test_tables_have_no_bin_and_may_be_seen_from_all_around(library):
+    config = replace(CONFIG, bin_share=0.0, ring_share=1.0, judged=1, perturbed=0, objects=(2, 2))
+    record = build_scene(5, config, library, OBJECTS)
+    assert record.bin_inner is None and record_problems(record) == []
+    top = build_scene(5, replace(config, ring_share=0.0), library, OBJECTS)
+    assert frozen(record.object_poses) == frozen(top.object_poses)
+
+    def sides(one: SceneRecord) -> int:
+        points, normals = one.surface()
+        return int(((np.abs(normals[:, 2]) < 0.5) & (points[:, 2] > 0.008)).sum())
+
+    assert sides(record) > 1.5 * sides(top)
+
+
+def test_a_recipe_renders_the_same_cloud(scene, tmp_path):
+    write_recipes(tmp_path / "recipes.npz", [scene])
+    [recipe] = read_recipes(tmp_path / "recipes.npz")
+    assert len(recipe.points) == 0
+    again = with_cloud(recipe, CONFIG, OBJECTS)
+    for name in ("points", "normals", "on_plane", "sensor", "gravity"):
+        assert frozen(getattr(again, name)) == frozen(getattr(scene, name)), name
+
+
+def test_runs_resume_and_processes_give_the_same_scenes(packed, scene, tmp_path):
+    job = SceneJob(CONFIG, packed, OBJECTS)
+    summary = generate_scenes(tmp_path / "one", job, [3])
+    assert summary.done == 1
+    first = SceneDataset(tmp_path / "one")[0]
+    assert frozen(first.points) == frozen(scene.points)
+    file = tmp_path / "one" / "scenes" / "scene_0000000003.npz"
+    stamp = file.stat().st_mtime_ns
+    summary = generate_scenes(
+        tmp_path / "one", job, [3, 4], ExecutorConfig(workers=2), shard_size=2
+    )
+    assert summary.done == 1 and not summary.failed
+    assert not file.exists(), "two scenes make a shard here"
+    assert stamp and [r.seed for r in SceneDataset(tmp_path / "one")] == [3, 4]
+    generate_scenes(tmp_path / "two", job, [4])
+    assert frozen(SceneDataset(tmp_path / "two")[0]) == frozen(SceneDataset(tmp_path / "one")[1])
+    assert verify_dataset(tmp_path / "one") == []
+    manifest = SceneDataset(tmp_path / "one").manifests[0]
+    assert manifest["objects"] == list(OBJECTS.names)
+    assert manifest["counts"] == {"scenes": 2} and manifest["versions"]["mujoco"]
+
+
+def test_bad_jobs_are_refused(packed, tmp_path):
+    with pytest.raises(DataError, match="object set is empty"):
+        generate_scenes(tmp_path, SceneJob(CONFIG, packed, ObjectSet([])), [1])
+
+
+def test_a_picture_is_drawn(scene, gripper, tmp_path):
+    path = scene_picture(scene, gripper, tmp_path / "scene.png", count=2)
+    assert path.stat().st_size > 20_000
