@@ -1,7 +1,8 @@
 """The services, action and topic that empty a bin, as blocking calls with timeouts.
 
 Everything goes through the public interface, so the same client works on a real cell that offers
-`points`, `change_tool` and `execute_grasp`. Another thread must spin the node.
+`points`, `change_tool` and `execute_grasp`. Another thread must spin the node,
+with a single-threaded executor.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
 from megrasp_ros.qos import SENSOR
-from megrasp_ros.waiting import wait_for_future
+from megrasp_ros.waiting import send_in_executor, wait_for_future
 
 CLOUDS_KEPT = 4
 
@@ -107,12 +108,14 @@ class ClearingClient:
     def execute(self, header: Header, gripper: str, grasp: Grasp) -> ExecuteGrasp.Result:
         """Sends one goal to `execute_grasp` and waits for its result."""
         goal = ExecuteGrasp.Goal(header=header, gripper=gripper, grasp=grasp)
-        handle = self._wait(self._execute.send_goal_async(goal))
+        handle = send_in_executor(
+            self._node, lambda: self._execute.send_goal_async(goal), self._timeout
+        )
         if handle is None:
             raise SystemFailure(f"execute_grasp did not take the goal within {self._timeout:g} s")
         if not handle.accepted:
             raise SystemFailure("execute_grasp rejected the goal without a reason")
-        answer = self._wait(handle.get_result_async())
+        answer = send_in_executor(self._node, handle.get_result_async, self._timeout)
         if answer is None:
             raise SystemFailure(f"execute_grasp gave no result within {self._timeout:g} s")
         return answer.result

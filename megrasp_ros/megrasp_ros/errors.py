@@ -1,5 +1,4 @@
-"""Errors that only the ROS side knows, and the one place where an exception becomes an error code.
-"""
+"""Errors that only the ROS side knows, and the place where an exception becomes an error code."""
 
 from __future__ import annotations
 

@@ -5,6 +5,7 @@ that.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from megrasp_msgs.msg import ErrorCode, GripperInfo
@@ -28,7 +29,7 @@ from megrasp_ros.waiting import wait_for_future
 from megrasp_ros.worker import Job, Worker
 
 #: (what, work) -> result; runs the work in the worker thread of an active node
-RunJob = Callable[[str, Callable[[Job], object]], object]
+RunJob = Callable[[str, Callable[[Job], Any]], Any]
 CHANGE_TOOL_TIMEOUT = 60.0
 
 
@@ -142,10 +143,8 @@ class GripperServices:
             self._node.get_logger().warning(f"set_gripper: {response.error_msg}")
             return response
         response.success = True
-        self._node.get_logger().info(
-            "gripper "
-            f"{response.gripper.name!r}{' could be active (dry run)' if request.dry_run else ' is active'}"
-        )
+        state = "could be active (dry run)" if request.dry_run else "is active"
+        self._node.get_logger().info(f"gripper {response.gripper.name!r} {state}")
         return response
 
     def _change(self, request: SetGripper.Request, settings: Settings) -> GripperInfo:

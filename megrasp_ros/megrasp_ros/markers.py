@@ -44,7 +44,7 @@ def grasp_markers(grasps: GraspArray, gripper: Gripper | None) -> MarkerArray:
 
 
 def _fork(width: float) -> NDArray[np.float64]:
-    """Return the line ends (2 * lines, 3) of a fork in TCP coordinates: stem, palm, two fingers."""
+    """Return the line ends (2 * lines, 3) of a fork in TCP coordinates."""
     half = width / 2
     corners = {
         "stem": (0.0, 0.0, -_FINGER - _STEM), "palm": (0.0, 0.0, -_FINGER),

@@ -93,6 +93,8 @@ class SimCell(Node):
     # Camera
 
     def _tick(self) -> None:
+        if not self.context.ok():
+            return
         wanted = any(
             publisher.get_subscription_count()
             for publisher in (self._points, self._depth, self._camera_info)
@@ -116,7 +118,9 @@ class SimCell(Node):
                     camera_info_message(view.camera, frame=CAMERA_FRAME, stamp=stamp)
                 )
         except Exception:
-            self.get_logger().error(f"no picture: {traceback.format_exc()}")
+            # Ctrl-C makes the publishers invalid while a picture is on its way.
+            if self.context.ok():
+                self.get_logger().error(f"no picture: {traceback.format_exc()}")
         finally:
             self._publishing = False
 

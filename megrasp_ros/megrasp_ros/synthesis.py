@@ -150,7 +150,7 @@ def no_grasp_text(drawn: int, rejected: dict[str, int], gripper: str) -> str:
     advice = {
         "collision": "the gripper may be too large for the heap; try another gripper",
         "unseen": "much of the scene is hidden from the camera; look from another place",
-        "workspace": "the region may be too small, in the wrong place, or without reason bounded by walls",
+        "workspace": "the region may be too small or misplaced, or have no walls (region.walls)",
         "tilt": "raise max_tilt",
         "excluded": "send fewer poses in `exclude` or a smaller exclude_radius",
     }

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
 from rclpy.task import Future
 
 SLICE = 0.2
@@ -34,3 +36,22 @@ def wait_for_future(
             future.cancel()
             return None
     return future.result()
+
+
+def send_in_executor(node: Node, send: Callable[[], Future], timeout: float) -> Any | None:
+    """What the future that `send` returns brings, `send` being called by the node's executor.
+
+    For action clients: rclpy's `send_goal_async` notes the request only after it is sent, without
+    a
+    lock, so that a fast answer is thrown away when another thread spins ("Ignoring unexpected goal
+    response"). Called by a single-threaded executor, sending and answering cannot overlap.
+    None and exceptions: see `wait_for_future`.
+    """
+    executor = node.executor
+    if executor is None:
+        raise ExternalShutdownException
+    end = time.monotonic() + timeout
+    sent = wait_for_future(executor.create_task(send), timeout, context=node.context)
+    if sent is None:
+        return None
+    return wait_for_future(sent, max(0.0, end - time.monotonic()), context=node.context)

@@ -18,8 +18,8 @@ from rclpy.node import Node
 
 from megrasp_core.objects import ObjectModel, save_object
 
-WAIT = 90.0
-"""Longest wait (s). Discovery takes up to 3 s, imports ten times that on a busy machine."""
+WAIT = 240.0
+"""Longest wait (s). Imports take 5 s of CPU, which is minutes on a very busy machine."""
 
 
 def own_domain(offset: int) -> int:

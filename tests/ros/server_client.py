@@ -12,7 +12,9 @@ from pathlib import Path
 
 import numpy as np
 from cell_processes import WAIT, Processes, processes, spinning_node
+from geometry_msgs.msg import PoseArray
 from megrasp_msgs.action import GenerateGrasps
+from megrasp_msgs.msg import GraspArray, GripperInfo
 from megrasp_msgs.srv import ListGrippers, ReloadGrippers, SetGripper, SynthesizeGrasps
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
@@ -21,6 +23,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 
 from megrasp_ros.cell_messages import cloud_message
+from megrasp_ros.qos import LATCHED, SENSOR
 
 DOUBLE = Path(__file__).parent / "server_double.py"
 GRIPPERS = ("robotiq_2f85", "robotiq_3f")
@@ -29,7 +32,7 @@ START = 240.0
 
 
 def domain(offset: int) -> int:
-    """Return a ROS domain of this test session, apart from those of other sessions on the machine."""
+    """Return a ROS domain of this test session, apart from that of others on the machine."""
     return 20 + (os.getpid() * 7 + offset) % 180
 
 
@@ -147,8 +150,6 @@ def camera(
     rate: float = 10.0,
 ):
     """Publish a cloud on `points` while the context lasts, each with a stamp `age` seconds ago."""
-    from megrasp_ros.qos import SENSOR
-
     publisher = client.node.create_publisher(PointCloud2, "points", SENSOR)
     stop = threading.Event()
 
@@ -169,3 +170,38 @@ def camera(
 def seconds_since(start: float) -> float:
     """Return the time since a value of time.monotonic()."""
     return time.monotonic() - start
+
+
+POINTS = table_points()
+LATCHED_TOPICS = {
+    "pregrasps": PoseArray,
+    "approach_poses": PoseArray,
+    "grasps": GraspArray,
+    "active_gripper": GripperInfo,
+}
+
+
+def cloud_of(client: Client, points: np.ndarray = POINTS, frame: str = "world") -> PointCloud2:
+    """Return a cloud with the stamp of now."""
+    return stamped_cloud(client.node, points, frame)
+
+
+def still_serves(client: Client) -> bool:
+    """Return whether a plain request is answered with grasps."""
+    answer = client.synthesize(num_grasps=2, cloud=cloud_of(client))
+    return answer.success and len(answer.grasps.grasps) == 2
+
+
+class Latest:
+    """The messages of a latched topic."""
+
+    def __init__(self, client: Client, kind: type, topic: str) -> None:
+        self.messages: list = []
+        self.subscription = client.node.create_subscription(
+            kind, topic, self.messages.append, LATCHED
+        )
+
+    @property
+    def last(self):
+        """The newest message."""
+        return self.messages[-1]

@@ -37,7 +37,8 @@ def start_clearing(cell: Processes, **parameters: object):
         "grippers": GRIPPERS,
         "num_objects": 4,
         "out": cell.folder / "out",
-        "call_timeout": 60.0,
+        "call_timeout": WAIT,
+        "ready_timeout": WAIT,
     }
     return cell.start("bin_clearing", **(defaults | parameters))
 

@@ -1,4 +1,4 @@
-"""From the frame of the cloud into the planning frame: parameters first, tf2 (a stub here) last."""
+"""From the frame of the cloud into the planning frame: parameters first, tf2 (a stub) last."""
 
 from __future__ import annotations
 

@@ -25,6 +25,7 @@ from megrasp_ros.cell_parameters import declare_cell_parameters
 from megrasp_ros.conversions import points_from_cloud, pose_from_matrix
 from megrasp_ros.qos import LATCHED, SENSOR
 from megrasp_ros.sim_cell import make_cell
+from megrasp_ros.waiting import send_in_executor
 
 BOX = (0.03, 0.05, 0.05)
 GRIPPERS = ["robotiq_2f85", "franka_hand"]
@@ -68,9 +69,16 @@ class Cell:
 
     def execute(self, header: Header, gripper: str, grasp: Grasp, feedback=None):
         goal = ExecuteGrasp.Goal(header=header, gripper=gripper, grasp=grasp)
-        handle = result(self.execution.send_goal_async(goal, feedback_callback=feedback))
+        handle = self.send(goal, feedback)
+        return send_in_executor(self.node, handle.get_result_async, WAIT).result
+
+    def send(self, goal: ExecuteGrasp.Goal, feedback=None):
+        def send():
+            return self.execution.send_goal_async(goal, feedback_callback=feedback)
+
+        handle = send_in_executor(self.node, send, WAIT)
         assert handle.accepted
-        return result(handle.get_result_async()).result
+        return handle
 
 
 def result(future):
@@ -215,8 +223,11 @@ def test_a_second_goal_is_busy_or_waits_its_turn(cell):
     goal = ExecuteGrasp.Goal(
         header=header, gripper="robotiq_2f85", grasp=in_the_air("robotiq_2f85")
     )
-    handles = [result(cell.execution.send_goal_async(goal)) for _ in range(2)]
-    codes = {result(handle.get_result_async()).result.error_code for handle in handles}
+    handles = [cell.send(goal) for _ in range(2)]
+    codes = {
+        send_in_executor(cell.node, handle.get_result_async, WAIT).result.error_code
+        for handle in handles
+    }
     assert 0 in codes
     assert codes <= {0, ErrorCode.BUSY, ErrorCode.STALE_CLOUD}
     assert len(codes) == 2

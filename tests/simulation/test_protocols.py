@@ -74,7 +74,9 @@ def test_antipodal_baseline_lifts_single_boxes(gripper, pool):
     assert content["first"]["trials"] == 6
     assert content["first"]["successes"] >= 2
     assert content["unfiltered"]["trials"] > 0
-    assert {"kept_share", "answered_share", "hardware", "config", "drawn", "returned"} <= set(content)
+    assert {"kept_share", "answered_share", "hardware", "config", "drawn", "returned"} <= set(
+        content
+    )
     json.dumps(content)
 
 
@@ -88,7 +90,9 @@ def test_same_seed_same_run(gripper, pool):
 
 
 def test_bad_settings_are_named():
-    with pytest.raises(InvalidRequestError, match=r"'juggling' is unknown.*binpick, declutter, single"):
+    with pytest.raises(
+        InvalidRequestError, match=r"'juggling' is unknown.*binpick, declutter, single"
+    ):
         ProtocolSettings(protocol="juggling")  # type: ignore[arg-type]
     with pytest.raises(InvalidRequestError, match="scenes 0"):
         ProtocolSettings(scenes=0)

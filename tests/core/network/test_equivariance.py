@@ -61,9 +61,7 @@ def test_message_passing_is_equivariant(make, dtype):
         module = shaken(ReducedConvolution(IRREPS, 5, 8), dtype)
         run = lambda x, v: module(x, index, basis, harmonics(v))  # noqa: E731
     else:
-        module = shaken(
-            Block(IRREPS, IRREPS, irreps_target=IRREPS, radial=5, hidden=8), dtype
-        )
+        module = shaken(Block(IRREPS, IRREPS, irreps_target=IRREPS, radial=5, hidden=8), dtype)
         run = lambda x, v: module(x, x, index, basis, harmonics(v))  # noqa: E731
     for turn, _ in motions(4):
         rotation = torch.as_tensor(turn, dtype=dtype)
@@ -141,7 +139,9 @@ def test_prediction_sees_gravity_and_scene():
     field = model.encode_scene(nodes, graph)
     still = model.predict(field, code, rotation, translation, s).residual
     nodes.gravity[:] = [1.0, 0.0, 0.0]
-    tilted = model.predict(model.encode_scene(nodes, graph), code, rotation, translation, s).residual
+    tilted = model.predict(
+        model.encode_scene(nodes, graph), code, rotation, translation, s
+    ).residual
     other = model.encode_gripper(tokens(model.config.gripper_tokens, seed=9))
     swapped = model.predict(field, other, rotation, translation, s).residual
     assert relative(tilted, still) > 1e-3

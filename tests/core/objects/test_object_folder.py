@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+
 from megrasp_core.errors import InvalidRequestError, ObjectError
 from megrasp_core.objects import (
     OBJECT_KINDS,

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import ConvexHull
+
 from megrasp_core.errors import InvalidRequestError
 from megrasp_core.objects import OBJECT_KINDS, OBSTACLE_KINDS, ObjectModel, procedural_object
 from megrasp_core.objects.solids import mass_properties, volume_of
-from scipy.spatial import ConvexHull
 
 SEEDS = range(8)
 KINDS = [*OBJECT_KINDS, *OBSTACLE_KINDS]

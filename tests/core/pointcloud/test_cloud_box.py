@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
 from megrasp_core.errors import CloudError, InvalidRequestError
 from megrasp_core.pointcloud import Cloud, OrientedBox
-from scipy.spatial.transform import Rotation
 
 COORDINATE = st.floats(-2, 2, allow_nan=False)
 VECTOR = st.tuples(COORDINATE, COORDINATE, COORDINATE)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from megrasp_core.errors import CloudError
 from megrasp_core.pointcloud import Cloud, read_cloud, write_cloud
 

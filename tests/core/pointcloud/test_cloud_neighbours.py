@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
+from scipy.spatial.transform import Rotation
+
 from megrasp_core.errors import CloudError
 from megrasp_core.pointcloud import estimate_normals, neighbours, remove_outliers, voxel_means
 from megrasp_core.pointcloud.neighbours import smallest_eigenvectors
-from scipy.spatial.distance import cdist
-from scipy.spatial.transform import Rotation
 
 
 def test_neighbours_equal_the_full_distance_matrix() -> None:

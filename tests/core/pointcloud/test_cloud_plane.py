@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from megrasp_core.pointcloud import PlaneSettings, support_plane, voxel_means
 from scipy.spatial.transform import Rotation
+
+from megrasp_core.pointcloud import PlaneSettings, support_plane, voxel_means
 
 DOWN = np.array([0.0, 0.0, -1.0])
 

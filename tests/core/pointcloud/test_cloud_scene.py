@@ -7,6 +7,8 @@ import time
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
+
 from megrasp_core.errors import CloudError, EmptyRegionError, GravityError, InvalidRequestError
 from megrasp_core.pointcloud import (
     Cloud,
@@ -17,7 +19,6 @@ from megrasp_core.pointcloud import (
     scene_nodes,
     surface_cloud,
 )
-from scipy.spatial import KDTree
 
 DOWN = (0.0, 0.0, -1.0)
 REGION = OrientedBox.around([0, 0, 0.05], [0.4, 0.4, 0.1])

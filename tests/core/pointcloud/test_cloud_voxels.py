@@ -9,6 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from scipy.spatial.distance import cdist
+
 from megrasp_core.errors import CloudError, InvalidRequestError
 from megrasp_core.pointcloud import (
     VoxelGroups,
@@ -16,7 +18,6 @@ from megrasp_core.pointcloud import (
     farthest_points,
     voxel_means,
 )
-from scipy.spatial.distance import cdist
 
 POINTS = hnp.arrays(
     np.float64, st.tuples(st.integers(1, 60), st.just(3)), elements=st.floats(-1, 1)

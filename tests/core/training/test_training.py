@@ -37,7 +37,11 @@ def record(seed: int) -> SceneRecord:
     points[:, 2] = 0.05
     count = 30
     poses = np.concatenate(
-        [rng.uniform(-0.05, 0.05, (count, 3)), Rotation.random(count, random_state=seed).as_quat()], 1
+        [
+            rng.uniform(-0.05, 0.05, (count, 3)),
+            Rotation.random(count, random_state=seed).as_quat(),
+        ],
+        1,
     )
     labels = GripperLabels(
         poses.astype(np.float32),
@@ -84,9 +88,9 @@ def test_run_resume_and_load(data, tmp_path):
     counters = second.info["counters"]
     assert counters["poses"] == 32 * 6
     assert counters["scenes"] == counters["steps"] == 6
-    assert not torch.equal(
-        first.residual_head[0].weight, second.residual_head[0].weight
-    ), "a resumed run must go on training"
+    assert not torch.equal(first.residual_head[0].weight, second.residual_head[0].weight), (
+        "a resumed run must go on training"
+    )
     assert list(second.info["trained_grippers"]) == [GRIPPER]
     lines = [json.loads(line) for line in (tmp_path / "losses.jsonl").read_text().splitlines()]
     assert [line["steps"] for line in lines] == [3, 6]
@@ -96,12 +100,16 @@ def test_run_resume_and_load(data, tmp_path):
 
 def test_resume_goes_on_as_if_never_stopped(data, tmp_path):
     """Up to the rounding of the stored optimiser moments."""
-    train(data, tmp_path / "whole", dataclasses.replace(CONFIG, total_poses=32 * 4, decay_share=1e-6))
+    train(
+        data, tmp_path / "whole", dataclasses.replace(CONFIG, total_poses=32 * 4, decay_share=1e-6)
+    )
     part = dataclasses.replace(CONFIG, total_poses=32 * 2, decay_share=1e-6)
     train(data, tmp_path / "half", part)
     shutil.copytree(tmp_path / "half", tmp_path / "split")
     train(data, tmp_path / "split", dataclasses.replace(part, total_poses=32 * 4), resume=True)
-    whole, split = (load_model(tmp_path / name / "model").state_dict() for name in ("whole", "split"))
+    whole, split = (
+        load_model(tmp_path / name / "model").state_dict() for name in ("whole", "split")
+    )
     half_way = load_model(tmp_path / "half" / "model").state_dict()
 
     def distance(other: dict[str, torch.Tensor]) -> float:

@@ -28,7 +28,7 @@ def app() -> SubcommandApp:
     )
     root.command(data, name="data", help="Make, pack and check training data.")
     root.command(train)
-    root.command(evaluation, name="eval")
+    root.command(evaluation, name="eval")  # type: ignore[call-overload]
     root.command(bench)
     return root
 

@@ -10,6 +10,7 @@ from .common import Flag, emit, progress_bar, say
 
 if TYPE_CHECKING:
     from ..evaluation.planner import Planner
+    from ..evaluation.report import EvaluationResult
 
 __all__ = ["bench", "evaluation", "samples"]
 
@@ -33,15 +34,14 @@ def evaluation(
 ) -> int:
     """Success rates in simulation, with intervals.
 
-    binpick: a bin of 10 objects and 2 obstacles, one noisy top-down view, the first grasp is
-        executed
-    with its approach path until the bin is empty or the robot gives up. declutter: a heap on a
-    table, ten views. single: one object on a table.
+    In binpick, a bin of 10 objects and 2 obstacles, one noisy top-down view, the first grasp is
+    executed with its approach path until the bin is empty or the robot gives up. In declutter, a
+    heap on a table, ten views. In single, one object on a table.
 
     Try:
       megrasp eval --gripper robotiq_2f85 --out binpick.json
-      megrasp eval --gripper robotiq_2f85 --objects $MEGRASP_ASSETS/objects/devtest --scenes 50
-      --out binpick.json megrasp eval --gripper robotiq_2f85 --baseline --out baseline.json
+      megrasp eval --gripper robotiq_2f85 --objects $MEGRASP_ASSETS/objects/devtest --out o.json
+      megrasp eval --gripper robotiq_2f85 --baseline --out baseline.json
 
     Args:
         gripper: name, or folder of a gripper.yaml.
@@ -89,9 +89,9 @@ def evaluation(
     place = "procedural" if objects is None else "/".join(objects.resolve().parts[-2:])
     with progress_bar(settings.scenes, protocol) as bar:
 
-        def tell(done: int, result: object) -> None:
+        def tell(done: int, so_far: EvaluationResult) -> None:
             bar.update(done - bar.n)
-            content = result.to_json()  # type: ignore[attr-defined]
+            content = so_far.to_json()
             rates = {
                 key: f"{content[key]['successes']}/{content[key]['trials']}"
                 for key in ("first", "filtered", "unfiltered")

@@ -19,6 +19,9 @@ __all__ = ["check", "listed", "render", "show"]
 SYMMETRY_WARNING = 0.003
 """Residual of the stated symmetry over which `check` warns (m), as DESIGN section 4 says."""
 
+SYMMETRY_POINTS = 4096
+"""Points of the surface that is turned: their spacing bounds what can be told apart."""
+
 
 def listed(out: Path | None = None) -> int:
     """All registered grippers.
@@ -77,12 +80,14 @@ def check(
     from ..ranking import gripper_probe
 
     gripper = load_gripper(path)
-    findings = []
+    findings: list[str] = []
+    warnings: list[str] = []
     report = _facts(gripper)
     residual = _symmetry_residual(gripper)
     report["symmetry_residual_p95"] = residual
     if residual > SYMMETRY_WARNING:
-        findings.append(
+        # Real grippers are not exactly symmetric (DESIGN section 4): nothing to fail for.
+        warnings.append(
             f"after a turn by 1/{gripper.description.symmetry} the open surface differs by "
             f"{1000 * residual:.1f} mm (p95); expected at most {1000 * SYMMETRY_WARNING:.0f} mm"
         )
@@ -96,11 +101,13 @@ def check(
             "gripper": other.name,
             **{posture: _difference(gripper, other, posture) for posture in ("open", "closed")},
         }
-    report["findings"] = findings
+    report["findings"], report["warnings"] = findings, warnings
     emit(report, out)
+    for warning in warnings:
+        say(f"warning: {warning}")
     for finding in findings:
         say(f"finding: {finding}")
-    say(f"{gripper.name}: {len(findings)} findings")
+    say(f"{gripper.name}: {len(findings)} findings, {len(warnings)} warnings")
     return 1 if findings else 0
 
 
@@ -144,7 +151,7 @@ def _symmetry_residual(gripper: Gripper) -> float:
     turn = np.array(
         [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
     )
-    points = gripper.clouds().open_points - gripper.tcp
+    points = gripper.clouds(SYMMETRY_POINTS).open_points - gripper.tcp
     return float(np.percentile(_distances(points @ turn.T, points), 95))
 
 
@@ -162,6 +169,6 @@ def _difference(gripper: Gripper, other: Gripper, posture: str) -> dict[str, flo
 
 
 def _distances(points: np.ndarray, to: np.ndarray) -> np.ndarray:
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
-    return cKDTree(to).query(points)[0]
+    return KDTree(to).query(points)[0]

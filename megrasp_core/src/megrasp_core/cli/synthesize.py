@@ -83,9 +83,14 @@ def synthesize(
 
     # Before anything slow is loaded: bad numbers are told at once.
     SynthesisRequest(
-        num_grasps=num_grasps, drawn=drawn, gravity=down, max_tilt=max_tilt,  # type: ignore[arg-type]
-        approach_distance=approach_distance, approach_direction=approach_direction, seed=seed,
-    )  # fmt: skip
+        num_grasps=num_grasps,
+        drawn=drawn,
+        gravity=np.asarray(down),
+        max_tilt=max_tilt,
+        approach_distance=approach_distance,
+        approach_direction=approach_direction,
+        seed=seed,
+    )
     points = read_cloud(cloud)
     place = _sensor(points, frame, sensor, down)
     synthesizer = GraspSynthesizer.load(model, gripper, device=device, threads=threads)

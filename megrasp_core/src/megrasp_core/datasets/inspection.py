@@ -18,7 +18,7 @@ from megrasp_core.errors import DataError
 
 
 def scene_stats(
-    folder: str | Path, on_progress: Callable[[int, int], None] | None = None
+    folder: str | Path, on_progress: Callable[[int, int], object] | None = None
 ) -> dict[str, Any]:
     """Counts of a scene data set.
 
@@ -92,7 +92,7 @@ def library_stats(library: GraspLibrary) -> dict[str, Any]:
 
 
 def verify_dataset(
-    folder: str | Path, on_progress: Callable[[int, int], None] | None = None
+    folder: str | Path, on_progress: Callable[[int, int], object] | None = None
 ) -> list[str]:
     """Reads every record of a data set and returns what is wrong, one line each; empty when all is
     well.

@@ -43,7 +43,7 @@ def bench_synthesis(
     *,
     cases: Sequence[BenchCase] = CASES,
     repeats: int = 7,
-    on_progress: Callable[[int, int], None] | None = None,
+    on_progress: Callable[[int, int], object] | None = None,
 ) -> dict[str, Any]:
     """Time the synthesis from cloud to ranked list.
 
@@ -54,7 +54,8 @@ def bench_synthesis(
         on_progress: called with calls done and in all.
 
     Returns:
-        Content of the result file: per row the minimum, median and maximum of every phase (s), CPU-seconds of the
+        Content of the result file: per row the minimum, median and maximum of every phase (s),
+        CPU-seconds of the
         process, peak memory (MB).
     """
     cloud, region = bench_cloud()

@@ -18,7 +18,8 @@ PROCEDURAL_SEED = 900_000
 
 @dataclass(frozen=True)
 class GraspableSettings:
-    """When an object counts as graspable: the free-space trial holds it with enough antipodal candidates."""
+    """When an object counts as graspable: the free-space trial holds it with enough antipodal
+    candidates."""
 
     candidates: int = 120
     trials: int = 30
@@ -42,7 +43,7 @@ def graspable_objects(
     pool: list[ObjectModel],
     settings: GraspableSettings | None = None,
     *,
-    on_progress: Callable[[int, int], None] | None = None,
+    on_progress: Callable[[int, int], object] | None = None,
 ) -> list[int]:
     """Indices of the objects that the gripper can hold in the free-space trial.
 
@@ -65,7 +66,8 @@ def graspable_objects(
             on_progress(index + 1, len(pool))
     if not found:
         raise InvalidRequestError(
-            f"gripper {gripper.name!r} holds none of the {len(pool)} objects; expected objects that fit between "
+            f"gripper {gripper.name!r} holds none of the {len(pool)} objects; expected objects "
+            "that fit between "
             "its fingers. Give another --objects folder."
         )
     return found

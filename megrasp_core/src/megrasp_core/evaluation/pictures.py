@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -88,7 +88,7 @@ def draw_grasps(
         region: the picture is cropped to it.
         gravity: (3,) down in the frame of the cloud; None: the picture looks from the viewpoint.
     """
-    ranked = list(getattr(grasps, "grasps", grasps))
+    ranked: list[Pose] = list(cast(Any, getattr(grasps, "grasps", grasps)))
     shown = ranked[:count]
     if chosen is not None and chosen >= len(ranked):
         chosen = None

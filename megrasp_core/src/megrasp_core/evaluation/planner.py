@@ -1,4 +1,5 @@
-"""What an evaluation asks for grasps: the model, or the analytic antipodal baseline behind the same check."""
+"""What an evaluation asks for grasps: the model, or the analytic antipodal baseline behind the
+same check."""
 
 from __future__ import annotations
 
@@ -50,9 +51,12 @@ class ModelPlanner:
 class AntipodalSettings:
     """How candidates are drawn from the seen surface.
 
-    cone: largest angle (rad) between a contact's normal and the closing axis. approach_tilt: standard deviation
-    (rad) of the approach about straight down. depth: the TCP lies up to this far (m) below the contacts' height
-    where the floor allows it. edge_share: share of candidates from single points and their nearest edge direction,
+    cone: largest angle (rad) between a contact's normal and the closing axis. approach_tilt:
+    standard deviation
+    (rad) of the approach about straight down. depth: the TCP lies up to this far (m) below the
+    contacts' height
+    where the floor allows it. edge_share: share of candidates from single points and their
+    nearest edge direction,
     for objects of which only the top is seen.
     """
 
@@ -66,9 +70,12 @@ class AntipodalSettings:
 class AntipodalPlanner:
     """Analytic antipodal candidates, with the check and the ranking of the model's samples.
 
-    Half of the candidates are pairs of seen points whose normals oppose along the closing axis and whose distance
-    fits the opening. A top-down camera sees few such pairs, so the other half take a seen point off the support
-    plane, approach it against gravity and close along the direction in which the seen patch is narrowest.
+    Half of the candidates are pairs of seen points whose normals oppose along the closing axis
+    and whose distance
+    fits the opening. A top-down camera sees few such pairs, so the other half take a seen point
+    off the support
+    plane, approach it against gravity and close along the direction in which the seen patch is
+    narrowest.
     """
 
     name = "antipodal-baseline"
@@ -121,13 +128,18 @@ class AntipodalPlanner:
         off = ~nodes.on_plane
         if off.sum() >= 10:
             points, normals = points[off], normals[off]
-        wanted = int(round(count * (1 - self.settings.edge_share)))
+        wanted = round(count * (1 - self.settings.edge_share))
         pairs = self._pairs(points, normals, down, wanted, rng)
         edges = self._edges(points, down, count - len(pairs), rng)
         return np.concatenate([pairs, edges])
 
     def _pairs(
-        self, points: np.ndarray, normals: np.ndarray, down: np.ndarray, count: int, rng: np.random.Generator
+        self,
+        points: np.ndarray,
+        normals: np.ndarray,
+        down: np.ndarray,
+        count: int,
+        rng: np.random.Generator,
     ) -> np.ndarray:
         width = self.gripper.description.max_width or 0.10
         first = rng.integers(len(points), size=self.settings.pairs)

@@ -23,7 +23,7 @@ from ..simulation import (
     ring_cameras,
     settle,
 )
-from ..simulation.cell import come_to_rest
+from ..simulation.cell_rest import come_to_rest
 from ..synthesizer import Synthesis
 from .planner import Planner
 
@@ -35,7 +35,8 @@ PROTOCOLS: tuple[ProtocolName, ...] = ("binpick", "declutter", "single")
 class ProtocolSettings:
     """One evaluation run.
 
-    samples: poses judged one by one per stage, for the unfiltered and filtered rates; 0 leaves them out.
+    samples: poses judged one by one per stage, for the unfiltered and filtered rates; 0 leaves
+    them out.
     drawn, returned: of every synthesis whose first grasp is executed.
     """
 
@@ -59,14 +60,16 @@ class ProtocolSettings:
             )
         if self.scenes < 1 or self.samples < 0 or self.drawn < 1 or self.returned < 1:
             raise InvalidRequestError(
-                f"scenes {self.scenes}, samples {self.samples}, drawn {self.drawn}, returned {self.returned} were "
+                f"scenes {self.scenes}, samples {self.samples}, drawn {self.drawn}, returned "
+                f"{self.returned} were "
                 "given; expected at least 1, 0, 1 and 1."
             )
 
 
 @dataclass
 class SceneOutcome:
-    """Counts of one scene. `first` lists every executed attempt in order, with the verdict's reason."""
+    """Counts of one scene. `first` lists every executed attempt in order, with the verdict's
+    reason."""
 
     first: list[tuple[bool, str]] = field(default_factory=list)
     sampled: list[tuple[bool, bool, str]] = field(default_factory=list)
@@ -108,7 +111,9 @@ def run_scene(
     rng = np.random.default_rng([settings.seed, index, 3])
     binpick = settings.protocol == "binpick"
     while goals & set(world.present):
-        if binpick and (failures >= settings.max_failures or len(outcome.first) >= settings.max_attempts):
+        if binpick and (
+            failures >= settings.max_failures or len(outcome.first) >= settings.max_attempts
+        ):
             break
         cloud = _look(settings, world, rng)
         options = {
@@ -122,7 +127,11 @@ def run_scene(
             _judge_samples(settings, world, planner, cloud, options, goals, outcome)
             world.restore(state)
         result = planner.plan(
-            cloud, num_grasps=settings.returned, drawn=settings.drawn, exclude=list(failed), **options
+            cloud,
+            num_grasps=settings.returned,
+            drawn=settings.drawn,
+            exclude=list(failed),
+            **options,
         )
         outcome.seconds.append(result.timing["total"])
         outcome.evaluations = result.evaluations
@@ -151,7 +160,8 @@ def run_scene(
 def _execute_first(
     world: World, result: Synthesis, goals: set[int], approach: bool, outcome: SceneOutcome
 ) -> tuple[bool, tuple[int, ...]]:
-    """Execute the best grasp; an empty answer is a failed attempt: the robot stood still for nothing.
+    """Execute the best grasp; an empty answer is a failed attempt: the robot stood still for
+    nothing.
 
     Returns success and the objects that are out of the scene then.
     """
@@ -181,7 +191,12 @@ def _judge_samples(
 ) -> None:
     """Judge every sample from the restored state; all go through the whole sampler (mode fast)."""
     result = planner.plan(
-        cloud, num_grasps=settings.samples, drawn=settings.samples, mode="fast", keep_all=True, **options
+        cloud,
+        num_grasps=settings.samples,
+        drawn=settings.samples,
+        mode="fast",
+        keep_all=True,
+        **options,
     )
     state = world.save()
     binpick = settings.protocol == "binpick"
@@ -230,7 +245,8 @@ def _scene(
             world = settled.world(gripper=gripper, friction=settings.friction, obstacles=obstacles)
             return world, obstacles
     raise SimulationError(
-        f"scene {index} of seed {settings.seed} did not come to rest in 10 draws; use fewer or smaller objects."
+        f"scene {index} of seed {settings.seed} did not come to rest in 10 draws; use fewer or "
+        "smaller objects."
     )
 
 

@@ -114,7 +114,13 @@ def evaluate(
 
     def result() -> EvaluationResult:
         return EvaluationResult(
-            settings, gripper.name, planner.name, len(pool), len(graspable), objects, tuple(outcomes)
+            settings,
+            gripper.name,
+            planner.name,
+            len(pool),
+            len(graspable),
+            objects,
+            tuple(outcomes),
         )
 
     for index in range(settings.scenes):

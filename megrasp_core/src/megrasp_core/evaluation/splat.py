@@ -111,9 +111,10 @@ class Canvas:
             hole = empty & (around > 3.5)
             if not hole.any():
                 return
-            rows, columns = ndimage.distance_transform_edt(
+            nearest = ndimage.distance_transform_edt(
                 empty, return_distances=False, return_indices=True
             )
+            rows, columns = np.asarray(nearest)
             source = rows[hole], columns[hole]
             self.depth[hole] = self.depth[source]
             self.colour[hole] = self.colour[source]

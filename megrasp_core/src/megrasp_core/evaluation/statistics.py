@@ -1,6 +1,7 @@
 """Rates with intervals (DESIGN section 2).
 
-Samples of one scene share its luck, so their rate gets a cluster bootstrap over scenes; first grasps are nearly
+Samples of one scene share its luck, so their rate gets a cluster bootstrap over scenes; first
+grasps are nearly
 independent attempts and get Wilson's interval.
 """
 
@@ -45,7 +46,11 @@ def wilson(successes: int, trials: int, level: float = 0.95) -> Rate:
     z = float(norm.ppf(0.5 + level / 2))
     share = successes / trials
     middle = (share + z * z / (2 * trials)) / (1 + z * z / trials)
-    half = z / (1 + z * z / trials) * math.sqrt(share * (1 - share) / trials + z * z / (4 * trials**2))
+    half = (
+        z
+        / (1 + z * z / trials)
+        * math.sqrt(share * (1 - share) / trials + z * z / (4 * trials**2))
+    )
     return Rate(successes, trials, (max(0.0, middle - half), min(1.0, middle + half)))
 
 

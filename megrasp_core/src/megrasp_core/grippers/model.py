@@ -3,8 +3,7 @@ rendering.
 
 The form: a root body "gripper" whose frame is the gripper frame; visual geoms in group 2 without
 contacts; collision geoms in group 3 with contact bits that never meet another geom of the gripper;
-every joint that `actuation` names driven by a position actuator; gravity compensated. The lessons
-behind the numbers are in docs (simulation).
+every joint that `actuation` names driven by a position actuator; gravity compensated.
 """
 
 from __future__ import annotations

@@ -64,7 +64,9 @@ class ModelConfig:
                 f"network config has unknown fields {unknown}; expected some of {sorted(names)}. "
                 "The model was made by another version: install that version or retrain."
             )
-        lists = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+        lists: dict[str, Any] = {
+            k: tuple(v) if isinstance(v, list) else v for k, v in values.items()
+        }
         return cls(**lists)
 
     def to_dict(self) -> dict[str, Any]:

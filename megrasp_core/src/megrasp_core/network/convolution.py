@@ -1,7 +1,9 @@
 """Equivariant message passing with reduced paths, and the self-product that restores the others.
 
-Per edge only l (x) 0 -> l, 0 (x) l -> l and l (x) l -> 0 are computed; each equals e3nn's `TensorProduct` over the
-same paths (component normalisation), at about a seventh of the cost of all paths. The full product over all
+Per edge only l (x) 0 -> l, 0 (x) l -> l and l (x) l -> 0 are computed; each equals e3nn's
+`TensorProduct` over the
+same paths (component normalisation), at about a seventh of the cost of all paths. The full
+product over all
 natural-parity paths is taken once per node instead, where there are 16 times fewer of them.
 """
 
@@ -11,7 +13,15 @@ import torch
 from e3nn.o3 import Irreps, spherical_harmonics, wigner_3j
 from torch import Tensor, nn
 
-from .irreps import EquivariantLinear, EquivariantNorm, Gate, multiplicities, pack, unpack
+from .irreps import (
+    EquivariantLinear,
+    EquivariantNorm,
+    Gate,
+    as_irreps,
+    multiplicities,
+    pack,
+    unpack,
+)
 
 SELF_PATHS = (
     (0, 0, 0), (1, 1, 0), (2, 2, 0),
@@ -24,13 +34,15 @@ SELF_PATHS = (
 def harmonics(vectors: Tensor) -> dict[int, Tensor]:
     """Spherical harmonics of degree 1 and 2 of `(..., 3)` vectors, component normalised.
 
-    A zero vector (a node that is its own neighbour) gives zeros, so that it adds nothing of higher degree.
+    A zero vector (a node that is its own neighbour) gives zeros, so that it adds nothing of
+    higher degree.
     """
     length = vectors.norm(dim=-1, keepdim=True)
     unit = vectors / length.clamp_min(1e-9)
     alive = (length > 1e-7).to(vectors.dtype)
     return {
-        degree: spherical_harmonics(degree, unit, normalize=False, normalization="component") * alive
+        degree: spherical_harmonics(degree, unit, normalize=False, normalization="component")
+        * alive
         for degree in (1, 2)
     }
 
@@ -64,13 +76,13 @@ class ReducedConvolution(nn.Module):
 
     def __init__(self, irreps: Irreps | str, radial: int, hidden: int) -> None:
         super().__init__()
-        self.irreps_in = Irreps(irreps)
+        self.irreps_in = as_irreps(irreps)
         self._mul = multiplicities(self.irreps_in)
         c0, c1, c2 = (self._mul[degree] for degree in (0, 1, 2))
         if c0 < max(c1, c2):
             raise ValueError(f"irreps {irreps}: needs at least as many scalars as vectors")
         self._split = (c0, c1, c2, c1, c2, c1, c2)
-        self.irreps_out = Irreps(f"{c0 + c1 + c2}x0e+{2 * c1}x1o+{2 * c2}x2e")
+        self.irreps_out = as_irreps(f"{c0 + c1 + c2}x0e+{2 * c1}x1o+{2 * c2}x2e")
         self.radial = nn.Sequential(
             nn.Linear(radial, hidden), nn.SiLU(), nn.Linear(hidden, sum(self._split))
         )
@@ -114,18 +126,19 @@ class ReducedConvolution(nn.Module):
 
 
 class SelfProduct(nn.Module):
-    """Channel-wise product of two mixed copies of a node's feature over all 11 natural-parity paths."""
+    """Channel-wise product of two mixed copies of a node's feature over all 11 natural-parity
+    paths."""
 
     def __init__(self, irreps: Irreps | str) -> None:
         super().__init__()
-        self.irreps_in = Irreps(irreps)
+        self.irreps_in = as_irreps(irreps)
         self.channels = multiplicities(self.irreps_in)[2]
         c = self.channels
         common = f"{c}x0e+{c}x1o+{c}x2e"
         self.left = EquivariantLinear(irreps, common, bias=False)
         self.right = EquivariantLinear(irreps, common, bias=False)
-        self.common = Irreps(common)
-        self.irreps_out = Irreps(f"{3 * c}x0e+{4 * c}x1o+{4 * c}x2e")
+        self.common = as_irreps(common)
+        self.irreps_out = as_irreps(f"{3 * c}x0e+{4 * c}x1o+{4 * c}x2e")
         start = {0: 0, 1: 1, 2: 4}
         columns = []
         for l1, l2, l3 in SELF_PATHS:
@@ -142,8 +155,10 @@ class SelfProduct(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """`(N, dim)` to `(N, irreps_out.dim)`."""
-        left = torch.cat([p for _, p in sorted(unpack(self.left(features), self.common).items())], -1)
-        right = torch.cat([p for _, p in sorted(unpack(self.right(features), self.common).items())], -1)
+        left, right = (
+            torch.cat([part for _, part in sorted(unpack(mix(features), self.common).items())], -1)
+            for mix in (self.left, self.right)
+        )
         outer = (left.unsqueeze(-1) * right.unsqueeze(-2)).flatten(-2)
         product = outer @ self.coupling.to(outer.dtype)
         s, v, t = product.split((3, 12, 20), dim=-1)
@@ -174,12 +189,14 @@ class Block(nn.Module):
         hidden: int,
     ) -> None:
         super().__init__()
-        self.irreps_out = Irreps(irreps_out)
+        self.irreps_out = as_irreps(irreps_out)
         self.norm = EquivariantNorm(irreps)
         self.convolution = ReducedConvolution(irreps, radial, hidden)
         self.gate = Gate(irreps_out)
         self.mix = EquivariantLinear(self.convolution.irreps_out, self.gate.irreps_in)
-        self.own = EquivariantLinear(irreps_target, irreps_out) if irreps_target is not None else None
+        self.own = (
+            EquivariantLinear(irreps_target, irreps_out) if irreps_target is not None else None
+        )
         self.norm_out = EquivariantNorm(irreps_out)
         self.product = SelfProduct(irreps_out)
         self.gate_out = Gate(irreps_out)

@@ -1,7 +1,10 @@
-"""The decoder: scene nodes near the posed gripper, seen from its TCP, attended to by the gripper's tokens.
+"""The decoder: scene nodes near the posed gripper, seen from its TCP, attended to by the
+gripper's tokens.
 
-With r = (R, t) = world_from_tcp every chosen node is taken to x' = R^T (x - t), f' = D(R^T) f. There everything
-is invariant, so that plain dense layers follow and the prediction, expressed in the TCP frame, is exactly
+With r = (R, t) = world_from_tcp every chosen node is taken to x' = R^T (x - t), f' = D(R^T) f.
+There everything
+is invariant, so that plain dense layers follow and the prediction, expressed in the TCP frame, is
+exactly
 equivariant (DESIGN section 6).
 """
 
@@ -24,7 +27,9 @@ class NoiseEmbedding(nn.Module):
     def __init__(self, width: int, s_min: float) -> None:
         super().__init__()
         self.s_min = s_min
-        self.net = nn.Sequential(nn.Linear(17, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU())
+        self.net = nn.Sequential(
+            nn.Linear(17, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU()
+        )
 
     def forward(self, s: Tensor) -> Tensor:
         """`(P,)` to `(P, width)`."""
@@ -34,7 +39,8 @@ class NoiseEmbedding(nn.Module):
 
 
 class AttentionBlock(nn.Module):
-    """Cross-attention from gripper tokens to scene tokens, then a feed-forward layer; FiLM on both."""
+    """Cross-attention from gripper tokens to scene tokens, then a feed-forward layer; FiLM on
+    both."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -47,7 +53,9 @@ class AttentionBlock(nn.Module):
         self.key_value = nn.Linear(width, 2 * width)
         self.project = nn.Linear(width, width)
         self.pool = nn.Linear(width, width)
-        self.feed = nn.Sequential(nn.Linear(width, 2 * width), nn.GELU(), nn.Linear(2 * width, width))
+        self.feed = nn.Sequential(
+            nn.Linear(width, 2 * width), nn.GELU(), nn.Linear(2 * width, width)
+        )
         nn.init.zeros_(self.film.weight)
         nn.init.zeros_(self.film.bias)
         # One learned range per head: a head may look far or only at what nearly touches.
@@ -69,13 +77,16 @@ class AttentionBlock(nn.Module):
         q = self.query(self.norm_q(x) * (1 + scale_q) + shift_q)
         k, v = self.key_value(self.norm_kv(scene)).chunk(2, -1)
         with torch.autocast(x.device.type, enabled=False):
-            out = self._attend(q.to(near_q.dtype), k.to(near_q.dtype), v.to(near_q.dtype), near_q, near_k)
+            out = self._attend(
+                q.to(near_q.dtype), k.to(near_q.dtype), v.to(near_q.dtype), near_q, near_k
+            )
         x = x + self.project(out)
         y = self.norm_ff(x) * (1 + scale_f) + shift_f
         return x + self.feed(y) + self.pool(y.mean(1, keepdim=True))
 
     def _attend(self, q: Tensor, k: Tensor, v: Tensor, near_q: Tensor, near_k: Tensor) -> Tensor:
-        """Attention with logits q.k / sqrt(d) - range |x_q - x_k|^2, the distance as five more channels.
+        """Attention with logits q.k / sqrt(d) - range |x_q - x_k|^2, the distance as five more
+        channels.
 
         So no `(P, G, S)` mask is made, which costs more than the attention itself on a CPU.
         """
@@ -144,7 +155,12 @@ class Decoder(nn.Module):
         return token, torch.cat([place, torch.zeros_like(place[:, :1])], 1)
 
     def forward(
-        self, field: SceneField, code: GripperCode, rotation: Tensor, translation: Tensor, s: Tensor
+        self,
+        field: SceneField,
+        code: GripperCode,
+        rotation: Tensor,
+        translation: Tensor,
+        s: Tensor,
     ) -> Tensor:
         """One vector per pose.
 
@@ -172,7 +188,8 @@ class Decoder(nn.Module):
 def distance_factors(queries: Tensor, keys: Tensor, scale: float) -> tuple[Tensor, Tensor]:
     """Factors `(G, 5)`, `(P, S, 5)` whose inner products are -|q - k|^2 in units of `scale`.
 
-    The last key is the gravity token: it has no place and gets a zero factor, so that no head loses it.
+    The last key is the gravity token: it has no place and gets a zero factor, so that no head
+    loses it.
     """
     q, k = queries / scale, keys / scale
     q2, k2 = q.square().sum(-1, keepdim=True), k.square().sum(-1, keepdim=True)
@@ -192,9 +209,14 @@ def nearest_nodes(points: Tensor, probes: Tensor, count: int) -> Tensor:
     """
     if count >= len(points):
         return torch.arange(len(points), device=points.device).expand(len(probes), -1)
-    # |x - q|^2 = |x|^2 - 2 x.q + |q|^2 as one matrix product: 3 times faster than cdist for small dimensions.
+    # |x - q|^2 = |x|^2 - 2 x.q + |q|^2 as one matrix product: 3 times faster than cdist for small
+    # dimensions.
     flat = probes.reshape(-1, 3)
-    lifted = torch.cat([-2 * flat, flat.square().sum(-1, keepdim=True), torch.ones_like(flat[:, :1])], -1)
-    basis = torch.cat([points, torch.ones_like(points[:, :1]), points.square().sum(-1, keepdim=True)], -1)
+    lifted = torch.cat(
+        [-2 * flat, flat.square().sum(-1, keepdim=True), torch.ones_like(flat[:, :1])], -1
+    )
+    basis = torch.cat(
+        [points, torch.ones_like(points[:, :1]), points.square().sum(-1, keepdim=True)], -1
+    )
     squared = (lifted @ basis.T).view(len(probes), -1, len(points)).amin(1)
     return squared.topk(count, dim=-1, largest=False, sorted=False).indices

@@ -1,12 +1,14 @@
 """The levels of a scene and the neighbours between them.
 
-The graph is data of its own, so that a test can hold it fixed while it moves the scene: rebuilt from moved points
+The graph is data of its own, so that a test can hold it fixed while it moves the scene: rebuilt
+from moved points
 it may differ where two distances agree to rounding.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 import torch
@@ -58,7 +60,7 @@ def build_graph(points: np.ndarray, config: ModelConfig) -> SceneGraph:
         return torch.as_tensor(np.asarray(index).reshape(len(queries), -1), dtype=torch.long)
 
     k, k_up = config.neighbours, config.up_neighbours
-    pairs = list(zip(clouds[:-1], clouds[1:]))
+    pairs = list(itertools.pairwise(clouds))
     return SceneGraph(
         nodes=tuple(torch.as_tensor(index, dtype=torch.long) for index in nodes),
         same=tuple(nearest(cloud, cloud, k) for cloud in clouds),

@@ -54,8 +54,13 @@ class GripperEncoder(nn.Module):
         )
         self.layers = nn.ModuleList(
             nn.TransformerEncoderLayer(
-                width, config.heads, 2 * width, dropout=0.0, activation="gelu",
-                batch_first=True, norm_first=True,
+                width,
+                config.heads,
+                2 * width,
+                dropout=0.0,
+                activation="gelu",
+                batch_first=True,
+                norm_first=True,
             )  # fmt: skip
             for _ in range(config.gripper_layers)
         )

@@ -1,14 +1,22 @@
 """Small equivariant layers on e3nn's flat feature layout.
 
-A feature of irreps `64x0e+32x1o+16x2e` is a flat vector `(..., dim)`, channel-major within one degree, as in
+A feature of irreps `64x0e+32x1o+16x2e` is a flat vector `(..., dim)`, channel-major within one
+degree, as in
 e3nn. Only natural parity (0e, 1o, 2e), each degree at most once and in this order, is used here.
 """
 
 from __future__ import annotations
 
+from typing import cast
+
 import torch
 from e3nn.o3 import Irreps
 from torch import Tensor, nn
+
+
+def as_irreps(irreps: Irreps | str) -> Irreps:
+    """Irreps of a text; e3nn's own constructor is typed too widely to be used directly."""
+    return cast(Irreps, Irreps(irreps))
 
 
 def multiplicities(irreps: Irreps | str) -> dict[int, int]:
@@ -17,11 +25,12 @@ def multiplicities(irreps: Irreps | str) -> dict[int, int]:
     Raises:
         ValueError: another parity, order or degree than 0e, 1o, 2e.
     """
-    irreps = Irreps(irreps)
     found: dict[int, int] = {}
-    for mul, ir in irreps:
+    for mul, ir in as_irreps(irreps):
         if ir.l > 2 or ir.p != (-1) ** ir.l or (found and ir.l <= max(found)):
-            raise ValueError(f"irreps {irreps}: expected at most 0e, 1o, 2e, once each, in this order")
+            raise ValueError(
+                f"irreps {irreps}: expected at most 0e, 1o, 2e, once each, in this order"
+            )
         found[ir.l] = mul
     return found
 
@@ -46,9 +55,11 @@ def pack(parts: dict[int, Tensor]) -> Tensor:
 class EquivariantLinear(nn.Module):
     """Mixes the channels of every degree by itself; bias on scalars only (e3nn `o3.Linear`)."""
 
-    def __init__(self, irreps_in: Irreps | str, irreps_out: Irreps | str, bias: bool = True) -> None:
+    def __init__(
+        self, irreps_in: Irreps | str, irreps_out: Irreps | str, bias: bool = True
+    ) -> None:
         super().__init__()
-        self.irreps_in, self.irreps_out = Irreps(irreps_in), Irreps(irreps_out)
+        self.irreps_in, self.irreps_out = as_irreps(irreps_in), as_irreps(irreps_out)
         source, target = multiplicities(self.irreps_in), multiplicities(self.irreps_out)
         self._target = target
         self.weights = nn.ParameterDict(
@@ -82,16 +93,21 @@ class EquivariantLinear(nn.Module):
 
 
 class EquivariantNorm(nn.Module):
-    """Layer norm: scalars as usual, higher degrees divided by the root mean square of their norms."""
+    """Layer norm: scalars as usual, higher degrees divided by the root mean square of their
+    norms."""
 
     def __init__(self, irreps: Irreps | str, eps: float = 1e-6) -> None:
         super().__init__()
-        self.irreps = Irreps(irreps)
+        self.irreps = as_irreps(irreps)
         self.eps = eps
         self._mul = multiplicities(self.irreps)
         self.scalar = nn.LayerNorm(self._mul[0])
         self.scales = nn.ParameterDict(
-            {str(degree): nn.Parameter(torch.ones(mul)) for degree, mul in self._mul.items() if degree}
+            {
+                str(degree): nn.Parameter(torch.ones(mul))
+                for degree, mul in self._mul.items()
+                if degree
+            }
         )
 
     def __repr__(self) -> str:
@@ -112,17 +128,18 @@ class EquivariantNorm(nn.Module):
 class Gate(nn.Module):
     """SiLU on scalars; higher degrees multiplied by a sigmoid of own gate scalars.
 
-    Takes `irreps_in` (= `irreps` with one more scalar for each channel of higher degree, in front).
+    Takes `irreps_in` (= `irreps` with one more scalar for each channel of higher degree, in
+    front).
     """
 
     def __init__(self, irreps: Irreps | str) -> None:
         super().__init__()
-        self.irreps = Irreps(irreps)
+        self.irreps = as_irreps(irreps)
         self._mul = multiplicities(self.irreps)
         self.gates = sum(mul for degree, mul in self._mul.items() if degree)
         scalars = self._mul[0] + self.gates
         rest = [(mul, (degree, (-1) ** degree)) for degree, mul in self._mul.items() if degree]
-        self.irreps_in = Irreps([(scalars, (0, 1)), *rest])
+        self.irreps_in = cast(Irreps, Irreps([(scalars, (0, 1)), *rest]))
 
     def __repr__(self) -> str:
         return f"Gate({self.irreps_in} -> {self.irreps})"

@@ -41,7 +41,8 @@ class GraspModel(nn.Module):
         self.model_id = model_id
         self.info: dict[str, object] = {}
         self.low_precision = False
-        """Run the token part in bfloat16 (poses, features and the last layers stay as they are)."""
+        """Run the token part in bfloat16 (poses, features and the last layers stay as they
+        are)."""
         self.scene_encoder = SceneEncoder(config)
         self.gripper_encoder = GripperEncoder(config)
         self.decoder = Decoder(config)
@@ -56,12 +57,12 @@ class GraspModel(nn.Module):
     @property
     def device(self) -> torch.device:
         """Where the weights are."""
-        return self.residual_head[0].weight.device
+        return next(self.parameters()).device
 
     @property
     def dtype(self) -> torch.dtype:
         """Type of the weights."""
-        return self.residual_head[0].weight.dtype
+        return next(self.parameters()).dtype
 
     def encode_scene(self, nodes: SceneNodes, graph: SceneGraph | None = None) -> SceneField:
         """Encode a preprocessed cloud; once per cloud.
@@ -95,7 +96,12 @@ class GraspModel(nn.Module):
         )  # fmt: skip
 
     def predict(
-        self, field: SceneField, code: GripperCode, rotation: Tensor, translation: Tensor, s: Tensor
+        self,
+        field: SceneField,
+        code: GripperCode,
+        rotation: Tensor,
+        translation: Tensor,
+        s: Tensor,
     ) -> Prediction:
         """Denoise poses.
 
@@ -123,7 +129,8 @@ class GraspModel(nn.Module):
         return self.confidence_head(feature).squeeze(-1)
 
     def graspability(self, field: SceneField, code: GripperCode) -> Tensor:
-        """Logit `(n_1,)` that a grasp of this gripper has its TCP near a node of the second level."""
+        """Logit `(n_1,)` that a grasp of this gripper has its TCP near a node of the second
+        level."""
         gripper = code.tokens.mean(0).expand(len(field.invariants), -1)
         return self.graspability_head(torch.cat([field.invariants, gripper], -1)).squeeze(-1)
 

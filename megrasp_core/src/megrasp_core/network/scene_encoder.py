@@ -1,4 +1,5 @@
-"""Steerable U-Net over the scene's nodes: encoded once per cloud, its features turn with the scene."""
+"""Steerable U-Net over the scene's nodes: encoded once per cloud, its features turn with the
+scene."""
 
 from __future__ import annotations
 

@@ -81,7 +81,8 @@ def load_model(
         result.load_state_dict(weights)
     except (OSError, SafetensorError, RuntimeError) as error:
         raise ModelError(
-            f"weights {folder / WEIGHTS} are damaged or do not fit the config ({error}); expected the "
+            f"weights {folder / WEIGHTS} are damaged or do not fit the config ({error}); "
+            "expected the "
             "file written with it. Restore the file from the repository or retrain."
         ) from error
     digest = info.get("sha256")
@@ -96,7 +97,8 @@ def load_model(
         result.to(device=device, dtype=dtype)
     except (RuntimeError, AssertionError) as error:
         raise ModelError(
-            f"device {device!r} cannot be used ({error}); expected cpu or an available cuda device."
+            f"device {device!r} cannot be used ({error}); expected cpu or an available cuda "
+            "device."
         ) from error
     return result.eval().requires_grad_(False)
 

@@ -61,7 +61,7 @@ def generate_objects(
     destination: str | Path,
     count: int,
     seed: int = 0,
-    on_progress: Callable[[int, int], None] | None = None,
+    on_progress: Callable[[int, int], object] | None = None,
 ) -> list[Path]:
     """Write `count` procedural objects below `destination` and return their folders.
 

@@ -120,7 +120,7 @@ def check_grasps(
     n = len(poses)
     points = posed(probe.points, poses)
     flat = points.reshape(-1, 3)
-    state = observation.classify(flat).reshape(n, -1)
+    state = observation.classify(flat).reshape(points.shape[:2])
     inside = (state == PointState.INSIDE).sum(axis=1)
     structure = (state >= PointState.WALL).sum(axis=1)
     near = np.linalg.norm(probe.points - probe.tcp, axis=1) < s.near
@@ -184,11 +184,10 @@ def _along_the_way(
     """Largest number of points inside seen bodies at one pose, and the number in structure, per
     grasp (N,).
     """
-    n = len(poses)
     base = posed(probe.approach_points, poses)
     shares = np.arange(1, s.approach_steps + 1, dtype=np.float32) / s.approach_steps
     moved = base[:, None] + (shares[:, None] * way[:, None, :].astype(np.float32))[:, :, None, :]
-    state = observation.classify(moved.reshape(-1, 3)).reshape(n, len(shares), -1)
+    state = observation.classify(moved.reshape(-1, 3)).reshape(moved.shape[:3])
     inside = (state == PointState.INSIDE).sum(axis=2).max(axis=1)
     return inside, (state >= PointState.WALL).sum(axis=(1, 2))
 

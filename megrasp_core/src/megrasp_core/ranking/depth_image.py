@@ -13,6 +13,9 @@ from ..errors import CloudError, InvalidRequestError
 
 __all__ = ["DepthImage", "DepthImageSettings"]
 
+LEAST_IN_FRONT = 0.9
+"""Share of the points that a sensor outside the cloud has in front of it, at least."""
+
 
 @dataclass(frozen=True)
 class DepthImageSettings:
@@ -69,7 +72,7 @@ class DepthImage:
 
         Raises:
             CloudError: no point is given.
-            InvalidRequestError: fewer than half of the points lie in front of the sensor.
+            InvalidRequestError: the sensor is not outside the cloud.
         """
         self.settings = settings or DepthImageSettings()
         points = np.asarray(points)
@@ -84,7 +87,7 @@ class DepthImage:
         self.rotation = _looking_at(middle - self.sensor)  # rows: image x, image y, optical axis
         x, y, depth = self._camera_points(points)
         front = depth > 1e-3
-        if front.mean() < 0.5:
+        if front.mean() < LEAST_IN_FRONT:
             raise InvalidRequestError(
                 f"the sensor position {np.round(self.sensor, 3).tolist()} has {int(front.sum())} "
                 f"of {len(points)} points in front of it; expected a position outside the cloud, "
@@ -159,9 +162,8 @@ class DepthImage:
             return image
         size = 2 * max(1, round(self.settings.hole / self.pixel_size)) + 1
         rim = ndimage.minimum_filter(image, size=size, mode="nearest")
-        rows, columns = ndimage.distance_transform_edt(
-            empty, return_distances=False, return_indices=True
-        )
+        index = ndimage.distance_transform_edt(empty, return_distances=False, return_indices=True)
+            rows, columns = np.asarray(index)
         nearest = image[rows, columns]
         return np.where(empty, np.minimum(rim, nearest), image).astype(np.float32)
 

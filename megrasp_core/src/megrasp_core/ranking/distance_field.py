@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 __all__ = ["DistanceField"]
 
@@ -42,7 +42,7 @@ class DistanceField:
         shape = np.ceil((points.max(axis=0) + limit - low) / spacing).astype(int) + 1
         axes = [low[i] + spacing * np.arange(shape[i]) for i in range(3)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        distance, _ = cKDTree(points).query(grid, distance_upper_bound=limit)
+        distance, _ = KDTree(points).query(grid, distance_upper_bound=limit)
         values = np.minimum(distance, limit).astype(np.float32).reshape(tuple(shape))
         return cls(low.astype(np.float32), spacing, values, limit)
 

@@ -11,6 +11,8 @@ from .contact import Contacts
 
 __all__ = ["RankSettings", "excluded", "rejection_counts", "score_grasps", "suppress_duplicates"]
 
+ALWAYS_COUNTED = ("collision", "unseen", "workspace", "tilt", "duplicate")
+
 
 @dataclass(frozen=True)
 class RankSettings:
@@ -110,16 +112,15 @@ def excluded(
     """
     if len(exclude) == 0:
         return np.zeros(len(world_from_tcp), dtype=bool)
-    return _same_grasp(
-        np.asarray(world_from_tcp), np.asarray(exclude), symmetry, radius, angle
-    ).any(axis=1)
+    same = _same_grasp(np.asarray(world_from_tcp), np.asarray(exclude), symmetry, radius, angle)
+    return np.asarray(same.any(axis=1))
 
 
 def rejection_counts(reason: np.ndarray) -> dict[str, int]:
     """Number of grasps per reason; the reasons of INTERFACES are always present, the others where
     they occur.
     """
-    counts = dict.fromkeys(("collision", "unseen", "workspace", "tilt", "duplicate"), 0)
+    counts: dict[str, int] = {name: 0 for name in ALWAYS_COUNTED}
     names, numbers = np.unique(reason[reason != ""], return_counts=True)
     counts.update({str(name): int(number) for name, number in zip(names, numbers)})
     return counts

@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import GravityError, InvalidRequestError
 from ..pointcloud import OrientedBox
 
-__all__ = ["MAX_DRAWN", "MAX_GRASPS", "Mode", "SynthesisRequest"]
+__all__ = ["MAX_DRAWN", "MAX_GRASPS", "Mode", "SynthesisRequest", "as_array"]
 
 MAX_GRASPS = 1000
 """Most grasps that one call returns."""
@@ -97,6 +97,22 @@ class SynthesisRequest:
 
     def _set(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)
+
+
+def as_array(name: str, value: Sequence[float] | np.ndarray | None) -> np.ndarray | None:
+    """Numbers as float64; None stays None.
+
+    Raises:
+        InvalidRequestError: they are no numbers.
+    """
+    if value is None:
+        return None
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidRequestError(
+            f"{name} {value!r} was given ({error}); expected numbers, for example (0, 0, -1)."
+        ) from None
 
 
 def _whole(name: str, value: object, low: int, high: int, advice: str) -> int:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ..ranking import GripperProbe, rejection_counts, suppress_duplicates
-from .evaluate import Assessment, RankingSettings
+from .evaluate import Assessment
 from .poses import PoseSet
 from .request import SynthesisRequest
 from .result import RankedGrasp
+from .settings import RankingSettings
 
 __all__ = ["collect"]
 
@@ -56,7 +57,7 @@ def collect(
         for source, index in left if rest is None else [*left, rest]:
             room = request.num_grasps - len(grasps)
             for i in _better_first(source[1], index)[:room]:
-                grasps.append(_grasp(*source, i, str(source[1].check.reason[i])))
+                grasps.append(_grasp(source[0], source[1], i, str(source[1].check.reason[i])))
     return grasps, rejection_counts(reasons)
 
 

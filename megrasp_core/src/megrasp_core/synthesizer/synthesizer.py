@@ -18,7 +18,7 @@ from ..grippers import Gripper, load_gripper
 from ..network import GraspModel, load_model
 from ..pointcloud import Cloud, OrientedBox, SceneSettings
 from ..ranking import GripperProbe, gripper_probe
-from .request import Mode, SynthesisRequest
+from .request import Mode, SynthesisRequest, as_array
 from .result import Synthesis
 from .run import Cancelled, MountedGripper, OnStep, SynthesisRun
 from .settings import SynthesizerSettings
@@ -172,9 +172,21 @@ class GraspSynthesizer:
             InvalidRequestError, GravityError, CloudError, EmptyRegionError, CancelledError.
         """
         request = SynthesisRequest(
-            num_grasps, drawn, mode, gravity, sensor, region, walls, max_tilt, approach_distance,
-            approach_direction, exclude, exclude_radius, seed, keep_all,
-        )  # fmt: skip
+            num_grasps=num_grasps,
+            drawn=drawn,
+            mode=mode,
+            gravity=as_array("gravity", gravity),
+            sensor=as_array("sensor", sensor),
+            region=region,
+            walls=walls,
+            max_tilt=max_tilt,
+            approach_distance=approach_distance,
+            approach_direction=approach_direction,
+            exclude=np.asarray(exclude, dtype=np.float64),
+            exclude_radius=exclude_radius,
+            seed=seed,
+            keep_all=keep_all,
+        )
         if self._mounted is None:
             raise InvalidRequestError("no gripper is set; expected one. Call set_gripper first.")
         with self._running():

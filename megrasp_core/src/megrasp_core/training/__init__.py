@@ -2,8 +2,8 @@
 
 from .batching import LabelledPoses, SceneBatch, SceneSource, balance, record_nodes
 from .config import Counters, TrainConfig
-from .losses import scene_losses
 from .loop import train
+from .losses import scene_losses
 
 __all__ = [
     "Counters",

@@ -148,7 +148,9 @@ class SceneSource:
                 rng.choice(part, min(half, len(part)), replace=False) for part in (good, bad)
             ]
             labelled[gripper] = poses(np.concatenate(chosen).astype(int))
-        return SceneBatch(nodes, build_graph(nodes.points, self._network), positives, labelled, centres)
+        return SceneBatch(
+            nodes, build_graph(nodes.points, self._network), positives, labelled, centres
+        )
 
 
 def balance(owner: np.ndarray) -> np.ndarray:

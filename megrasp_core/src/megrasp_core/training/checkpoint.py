@@ -78,7 +78,8 @@ def load_checkpoint(
         model.load_state_dict(weights)
     except (OSError, json.JSONDecodeError, SafetensorError, RuntimeError) as error:
         raise DataError(
-            f"checkpoint in {folder} cannot be resumed ({error}); expected {TENSORS} and {STATE} of the "
+            f"checkpoint in {folder} cannot be resumed ({error}); expected {TENSORS} and {STATE} "
+            "of the "
             "same network. Start a new run in another --out, or give the former --preset."
         ) from error
     for name in ema:

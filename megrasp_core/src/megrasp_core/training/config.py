@@ -57,7 +57,8 @@ class TrainConfig:
             )
         if self.total_poses is None and self.total_seconds is None:
             raise InvalidRequestError(
-                "neither total_poses nor total_seconds was given; expected at least one end of the run."
+                "neither total_poses nor total_seconds was given; expected at least one end of "
+                "the run."
             )
 
     @property
@@ -72,7 +73,10 @@ class TrainConfig:
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> TrainConfig:
         """Inverse of `to_dict`."""
-        return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+        lists: dict[str, Any] = {
+            k: tuple(v) if isinstance(v, list) else v for k, v in values.items()
+        }
+        return cls(**lists)
 
 
 @dataclasses.dataclass

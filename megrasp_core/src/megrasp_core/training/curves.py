@@ -24,7 +24,9 @@ def plot_curves(losses: Path, picture: Path) -> None:
         axes = figure.add_subplot(1, len(names), place + 1)
         for part in ("train", "validation"):
             points = [
-                (line["steps"], line[f"{part}_{name}"]) for line in lines if f"{part}_{name}" in line
+                (line["steps"], line[f"{part}_{name}"])
+                for line in lines
+                if f"{part}_{name}" in line
             ]
             if points:
                 axes.plot(*zip(*points), label=part)

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from ..datasets import SceneDataset
 from ..diffusion import NoiseSchedule
@@ -41,9 +40,11 @@ def train(
     """Train, or go on training, a model.
 
     Args:
-        data: folder (or folders) of a scene data set; one that still grows is read again at checkpoints.
+        data: folder (or folders) of a scene data set; one that still grows is read again at
+        checkpoints.
         out: folder for the checkpoint, `losses.jsonl`, `losses.png` and the averaged model.
-        config: hyper-parameters; when resuming, the ends of the run are taken from it, all else from the
+        config: hyper-parameters; when resuming, the ends of the run are taken from it, all else
+        from the
             checkpoint.
         resume: go on from the checkpoint in `out`.
         start_from: weights to begin with (fine-tuning, training of the heads).
@@ -99,7 +100,9 @@ class _Run:
         self.generator = torch.Generator(device).manual_seed(config.seed)
         self.counters = Counters()
         self.schedule = NoiseSchedule(
-            sigma_t=config.network.sigma_t, sigma_r=config.network.sigma_r, s_min=config.network.s_min
+            sigma_t=config.network.sigma_t,
+            sigma_r=config.network.sigma_r,
+            s_min=config.network.s_min,
         )
         grippers = {name: load_gripper(name) for name in config.grippers}
         self.hashes = {name: gripper.hash for name, gripper in grippers.items()}
@@ -247,4 +250,6 @@ class _Run:
             _, values = scene_losses(model, codes, batch, self.config, self.schedule, generator)
             for name, value in values.items():
                 found.setdefault(name, []).append(value)
-        return {k: float(np.mean(v)) for k, v in found.items() if not math.isnan(float(np.mean(v)))}
+        return {
+            k: float(np.mean(v)) for k, v in found.items() if not math.isnan(float(np.mean(v)))
+        }

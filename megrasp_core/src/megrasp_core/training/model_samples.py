@@ -1,4 +1,5 @@
-"""The model's own samples, tried in simulation: what its confidence has to tell apart (DESIGN section 6)."""
+"""The model's own samples, tried in simulation: what its confidence has to tell apart (DESIGN
+section 6)."""
 
 from __future__ import annotations
 
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from ..datasets import GripperLabels, Kind, ObjectSet, SceneDataset, SceneRecord, SceneWriter
 from ..diffusion import NoiseSchedule, SamplerSettings, last_step, sample_steps
@@ -21,8 +23,14 @@ from .batching import record_nodes
 
 @dataclasses.dataclass(frozen=True)
 class SampleSettings:
-    """samples: drawn per scene and gripper. judged: at most this many of those free of collision are tried in the
-    heap; the others that are free are left out, those that collide are failures at no cost."""
+    """Amounts of `label_samples`.
+
+    samples: drawn per scene and gripper. judged: at most this many of those free of collision are
+    tried in the
+    heap; the others that are free are left out. colliding: at most this many of those that
+    collide are kept, as
+    failures. sampler: what the poses go through.
+    """
 
     samples: int = 48
     judged: int = 16
@@ -46,9 +54,9 @@ def draw_poses(
     generator = torch.Generator(model.device).manual_seed(settings.seed * 1_000_003 + record.seed)
     starts = draw_starts(model, field, code, settings.samples, generator)
     steps = sample_steps(
-        lambda rotation, translation, s: model.predict(
-            field, code, rotation, translation, s
-        ).residual,
+        lambda rotation, translation, s: (
+            model.predict(field, code, rotation, translation, s).residual
+        ),
         starts,
         settings.sampler,
         schedule,
@@ -77,7 +85,10 @@ def judge_poses(
         object_poses=matrix_from_pose7(record.object_poses.astype(np.float64)),
     )
     state = world.save()
-    world_from_gripper = world_from_tcp @ np.linalg.inv(gripper.gripper_from_tcp)
+    tcp_from_gripper = np.linalg.inv(np.asarray(gripper.gripper_from_tcp, np.float64))
+    world_from_gripper: NDArray[np.float64] = np.asarray(
+        world_from_tcp @ tcp_from_gripper, np.float64
+    )
     depth = start_depths(world, world_from_gripper)
     if world.bin is not None:
         for index in np.flatnonzero(depth <= settings.max_depth):

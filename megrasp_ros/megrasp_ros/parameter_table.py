@@ -1,0 +1,178 @@
+"""The parameters of grasp_server: defaults, descriptions, ranges and checks in one table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+)
+
+from megrasp_core.errors import InvalidRequestError
+from megrasp_core.synthesizer import MAX_DRAWN, MAX_GRASPS
+from megrasp_ros.conversions import matrix_from_numbers
+
+FLANGE_PREFIX = "flange_from_gripper."
+IDENTITY = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+
+Check = Callable[[Any], str]
+
+
+@dataclass(frozen=True)
+class Spec:
+    """A parameter: its default gives its type; `check` returns what is wrong with a value, "" when
+    nothing is.
+    """
+
+    default: Any
+    description: str
+    low: float | None = None
+    high: float | None = None
+    check: Check | None = None
+    read_only: bool = False
+
+    def descriptor(self) -> ParameterDescriptor:
+        """Return what `ros2 param describe` shows."""
+        descriptor = ParameterDescriptor(description=self.description, read_only=self.read_only)
+        if self.low is not None and self.high is not None:
+            if isinstance(self.default, float):
+                descriptor.floating_point_range = [
+                    FloatingPointRange(from_value=self.low, to_value=self.high)
+                ]
+            else:
+                descriptor.integer_range = [
+                    IntegerRange(from_value=int(self.low), to_value=int(self.high))
+                ]
+        return descriptor
+
+
+def _one_of(*choices: str) -> Check:
+    return lambda value: (
+        "" if value in choices else f"{value!r} was given; expected one of {', '.join(choices)}"
+    )
+
+
+def _numbers(count: int, meaning: str) -> Check:
+    def check(value: Sequence[float]) -> str:
+        if len(value) == count and all(math.isfinite(v) for v in value):
+            return ""
+        return f"{list(value)} was given; expected {count} finite numbers: {meaning}"
+
+    return check
+
+
+def pose_check(unset_allowed: bool) -> Check:
+    """Return a check for 7 numbers of a pose; with `unset_allowed` all 0 is fine."""
+
+    def check(value: Sequence[float]) -> str:
+        if unset_allowed and len(value) == 7 and not any(value):
+            return ""
+        try:
+            matrix_from_numbers(list(value), "the value")
+        except InvalidRequestError as error:
+            return str(error)
+        return ""
+
+    return check
+
+
+def _size(value: Sequence[float]) -> str:
+    wrong = _numbers(3, "full edges in metres, all 0: no region")(value)
+    if wrong or not any(value) or all(v > 0 for v in value):
+        return wrong
+    return f"{list(value)} was given; expected three edges over 0 (m), or all 0 for no region"
+
+
+TABLE: dict[str, Spec] = {
+    "autostart": Spec(
+        True,
+        "configure and activate by itself at the start; false: a lifecycle manager does it",
+        read_only=True,
+    ),
+    "gripper": Spec(
+        "robotiq_2f85",
+        "gripper that is active after configuring: a registered name or the folder of a "
+        "gripper.yaml",
+    ),
+    "gripper_paths": Spec([""], "folders with further grippers, searched before the shipped ones"),
+    "rack": Spec([""], 'grippers that a request for "auto" chooses from; empty: the active one'),
+    "model": Spec("", "model id or folder; empty: the default model"),
+    "device": Spec("auto", "auto | cpu | cuda | cuda:N; auto takes a GPU if there is one"),
+    "threads": Spec(0, "CPU threads of one synthesis; 0: torch's choice", 0, 256),
+    "planning_frame": Spec("", "frame of all answers; empty: the frame of the cloud"),
+    "extrinsics": Spec(
+        [0.0] * 7,
+        "planning_from_cloud as x, y, z, qx, qy, qz, qw; all 0: unset, tf2 is asked when "
+        "planning_frame differs",
+        check=pose_check(unset_allowed=True),
+    ),
+    "gravity": Spec(
+        [0.0] * 3,
+        "direction of gravity in the planning frame; all 0: unset, then -z, but an error in an "
+        "optical frame",
+        check=_numbers(3, "the direction that things fall, in the planning frame"),
+    ),
+    "sensor_origin": Spec(
+        [0.0] * 3,
+        "place of the sensor in the frame of the cloud (m); the default is the origin of that "
+        "frame",
+        check=_numbers(3, "x, y, z in metres"),
+    ),
+    "pose_reference": Spec(
+        "gripper",
+        "which frame the poses of `pregrasps` and `approach_poses` place: gripper | tcp | flange",
+        check=_one_of("gripper", "tcp", "flange"),
+    ),
+    "region.pose": Spec(
+        list(IDENTITY),
+        "centre and axes of the region (the inside of the bin) in the planning frame: x, y, z, "
+        "qx, qy, qz, qw",
+        check=pose_check(unset_allowed=False),
+    ),
+    "region.size": Spec(
+        [0.0] * 3, "full edges of the region (m); all 0: no region, the whole cloud", check=_size
+    ),
+    "region.walls": Spec(
+        True,
+        "the sides of the region are walls and its bottom the floor: grasps may not cross them",
+    ),
+    "cloud_max_age": Spec(5.0, "oldest cloud that is used (s, by its stamp); 0: any", 0.0, 3600.0),
+    "cloud_timeout": Spec(5.0, "longest wait for a cloud on `points` (s)", 0.05, 600.0),
+    "num_grasps": Spec(20, "grasps of a synthesis by auto_synthesize", 1, MAX_GRASPS),
+    "max_num_grasps": Spec(1000, "most grasps a request may ask for", 1, MAX_GRASPS),
+    "drawn": Spec(100, "poses drawn per synthesis; at least num_grasps are drawn", 1, MAX_DRAWN),
+    "max_tilt": Spec(
+        math.pi, "largest angle between the gripper's +Z and gravity (rad); pi: any", 0.01, math.pi
+    ),
+    "approach_distance": Spec(
+        0.10, "distance of the approach pose from the pre-grasp (m)", 0.0, 1.0
+    ),
+    "approach_direction": Spec(
+        "tool",
+        "tool: back along the gripper's -Z; gravity: straight up",
+        check=_one_of("tool", "gravity"),
+    ),
+    "request_timeout": Spec(60.0, "longest time from request to answer (s)", 0.05, 3600.0),
+    "auto_synthesize": Spec(
+        "off",
+        "off | on_cloud: publish grasps for new clouds without a call",
+        check=_one_of("off", "on_cloud"),
+    ),
+    "auto_period": Spec(1.0, "shortest time between two automatic syntheses (s)", 0.0, 3600.0),
+    "points_subscription": Spec(
+        "on_demand",
+        "on_demand: `points` is subscribed while a request waits; continuous: always (no wait, "
+        "more load)",
+        check=_one_of("on_demand", "continuous"),
+    ),
+    "tool_changer": Spec(
+        "",
+        "ChangeTool service that set_gripper calls before it switches; empty: the tool is changed "
+        "by others",
+    ),
+}

@@ -1,0 +1,283 @@
+"""The synthesizer with a small network of random weights: what does not depend on training."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from megrasp_core.errors import (
+    CancelledError,
+    CloudError,
+    EmptyRegionError,
+    GravityError,
+    InvalidRequestError,
+    ModelError,
+    UnknownGripperError,
+)
+from megrasp_core.network import PRESETS, GraspModel, save_model
+from megrasp_core.pointcloud import Cloud, OrientedBox
+from megrasp_core.synthesizer import GraspSynthesizer, SynthesizerSettings
+
+REGION = OrientedBox.around((0.0, 0.0, 0.075), (0.40, 0.30, 0.15))
+CAMERA = np.array([0.0, 0.0, 0.85])
+PHASES = ["perceive", "encode", "sample", "rank"]
+
+
+def table_cloud(seed: int = 0) -> Cloud:
+    """Floor and three box tops and sides, 12000 points."""
+    rng = np.random.default_rng(seed)
+    parts = [rng.uniform((-0.2, -0.15, 0.0), (0.2, 0.15, 0.0005), (6000, 3))]
+    for x, y, height in ((-0.1, 0.0, 0.05), (0.05, 0.05, 0.03), (0.1, -0.08, 0.08)):
+        low, high = np.array([x - 0.02, y - 0.03]), np.array([x + 0.02, y + 0.03])
+        top = rng.uniform((*low, height - 0.0005), (*high, height), (1500, 3))
+        side = rng.uniform((*low, 0.0), (low[0] + 0.001, high[1], height), (500, 3))
+        parts += [top, side]
+    return Cloud(np.concatenate(parts), None, CAMERA)
+
+
+@pytest.fixture(scope="module")
+def model() -> GraspModel:
+    torch.manual_seed(0)
+    return GraspModel(PRESETS["tiny"], model_id="random").eval().requires_grad_(False)
+
+
+@pytest.fixture(scope="module")
+def synthesizer(model) -> GraspSynthesizer:
+    return GraspSynthesizer(model, "robotiq_2f85")
+
+
+def run(synthesizer, **options):
+    options = {"region": REGION, "seed": 3, "num_grasps": 5, "drawn": 12, **options}
+    return synthesizer.synthesize(table_cloud(), **options)
+
+
+def test_counts_add_up_to_drawn(synthesizer):
+    for options in ({}, {"keep_all": True}, {"mode": "fast"}, {"drawn": 60}):
+        result = run(synthesizer, **options)
+        passing = sum(grasp.reason == "" for grasp in result.grasps)
+        assert passing + sum(result.rejected.values()) == result.drawn
+        assert len(result.grasps) <= 5
+        assert {"collision", "unseen", "workspace", "tilt", "duplicate"} <= set(result.rejected)
+
+
+def test_everything_is_returned_with_keep_all_best_first_failing_last(synthesizer):
+    result = run(synthesizer, keep_all=True, num_grasps=12)
+    assert len(result.grasps) == 12
+    free = [grasp.collision_free for grasp in result.grasps]
+    assert free == sorted(free, reverse=True)
+    scores = [grasp.score for grasp in result.grasps if grasp.reason == ""]
+    assert scores == sorted(scores, reverse=True)
+    assert all(grasp.reason for grasp in result.grasps if not grasp.collision_free)
+
+
+def test_poses_of_a_grasp_fit_each_other(synthesizer):
+    gripper = synthesizer.gripper
+    for grasp in run(synthesizer, keep_all=True, approach_distance=0.07).grasps:
+        rotation = grasp.world_from_tcp[:3, :3]
+        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(rotation) == pytest.approx(1.0)
+        np.testing.assert_allclose(
+            grasp.world_from_gripper @ gripper.gripper_from_tcp, grasp.world_from_tcp, atol=1e-12
+        )
+        way = grasp.world_from_gripper[:3, 3] - grasp.world_from_gripper_approach[:3, 3]
+        np.testing.assert_allclose(way, 0.07 * rotation[:, 2], atol=1e-12)
+        assert grasp.tilt == pytest.approx(np.arccos(-rotation[2, 2]), abs=1e-6)
+
+
+def test_approach_along_gravity_comes_from_above(synthesizer):
+    for grasp in run(synthesizer, keep_all=True, approach_direction="gravity").grasps:
+        way = grasp.world_from_gripper_approach[:3, 3] - grasp.world_from_gripper[:3, 3]
+        np.testing.assert_allclose(way, [0, 0, 0.10], atol=1e-12)
+
+
+def test_the_same_seed_gives_the_same_grasps_and_another_one_others(synthesizer):
+    first, again, other = (run(synthesizer, keep_all=True, seed=seed).grasps for seed in (5, 5, 6))
+    for a, b in zip(first, again):
+        np.testing.assert_array_equal(a.world_from_tcp, b.world_from_tcp)
+    assert not np.allclose(first[0].world_from_tcp, other[0].world_from_tcp)
+
+
+def test_a_random_seed_is_returned_and_repeats_the_result(synthesizer):
+    first = run(synthesizer, keep_all=True, seed=None)
+    again = run(synthesizer, keep_all=True, seed=first.seed)
+    np.testing.assert_array_equal(first.grasps[0].world_from_tcp, again.grasps[0].world_from_tcp)
+
+
+def test_a_far_frame_moves_the_grasps_along(synthesizer):
+    shift = np.array([40.0, -28.0, 4.0])  # whole voxels of 4 mm: the grid belongs to the frame
+    cloud = table_cloud()
+    pose = REGION.world_from_box.copy()
+    pose[:3, 3] += shift
+    moved = synthesizer.synthesize(
+        Cloud(cloud.points + shift, None, CAMERA + shift),
+        region=OrientedBox(pose, REGION.size),
+        seed=3,
+        num_grasps=5,
+        drawn=5,
+        keep_all=True,
+    )
+    here = run(synthesizer, drawn=5, keep_all=True)
+    for a, b in zip(here.grasps, moved.grasps):
+        np.testing.assert_allclose(
+            a.world_from_tcp[:3, 3] + shift, b.world_from_tcp[:3, 3], atol=2e-4
+        )
+
+
+def test_scene_is_encoded_once_a_cloud_and_gripper_once_a_gripper(model, monkeypatch):
+    calls = {"encode_scene": 0, "encode_gripper": 0, "predict": 0}
+
+    def counted(name):
+        real = getattr(GraspModel, name)
+
+        def call(self, *args, **options):
+            calls[name] += 1
+            return real(self, *args, **options)
+
+        return call
+
+    for name in calls:
+        monkeypatch.setattr(GraspModel, name, counted(name))
+    fresh = GraspSynthesizer(model, "robotiq_2f85")
+    result = run(fresh)
+    assert calls == {"encode_scene": 1, "encode_gripper": 1, "predict": result.evaluations}
+    run(fresh)
+    fresh.set_gripper("franka_hand")
+    fresh.set_gripper("robotiq_2f85")
+    assert calls["encode_scene"] == 2 and calls["encode_gripper"] == 2
+
+
+def test_only_the_best_go_through_the_restarts(model, monkeypatch):
+    sizes = []
+    real = GraspModel.predict
+
+    def predict(self, scene, code, rotation, translation, s):
+        sizes.append(len(s))
+        return real(self, scene, code, rotation, translation, s)
+
+    monkeypatch.setattr(GraspModel, "predict", predict)
+    synthesizer = GraspSynthesizer(model, "robotiq_2f85", settings=SynthesizerSettings(refined=4))
+    result = run(synthesizer, drawn=12)
+    assert sizes == [12] * 10 + [4] * 10 and result.evaluations == 20 and result.drawn == 12
+    sizes.clear()
+    result = run(synthesizer, mode="fast", num_grasps=6)
+    assert sizes == [6] * 20 and result.drawn == 6
+
+
+def test_phases_are_reported_in_order_and_timed(synthesizer):
+    told = []
+    result = run(synthesizer, on_step=lambda *step: told.append(step))
+    assert list(dict.fromkeys(phase for phase, _, _ in told)) == PHASES
+    steps = [step for phase, step, total in told if phase == "sample" and total == 20]
+    assert steps == list(range(1, 21))
+    assert {*PHASES, "total"} == set(result.timing)
+    assert sum(result.timing[phase] for phase in PHASES) <= result.timing["total"] + 1e-3
+
+
+@pytest.mark.parametrize("after", [1, 4, 15])
+def test_cancel_stops_before_the_next_step(synthesizer, after):
+    told = []
+    with pytest.raises(CancelledError):
+        run(
+            synthesizer,
+            on_step=lambda *step: told.append(step),
+            cancelled=lambda: len(told) >= after,
+        )
+    assert len(told) == after
+
+
+def test_excluded_poses_are_not_offered_again(synthesizer):
+    everything = run(synthesizer, keep_all=True, num_grasps=12)
+    poses = [grasp.world_from_tcp for grasp in everything.grasps]
+    result = run(synthesizer, num_grasps=12, exclude=poses, exclude_radius=0.05)
+    assert not result.grasps
+    assert sum(result.rejected.values()) == 12
+
+
+def test_unknown_gravity_is_possible(synthesizer):
+    result = run(synthesizer, gravity=None, keep_all=True)
+    assert len(result.grasps) == 5 and all(np.isnan(g.tilt) for g in result.grasps)
+    assert result.to_json()["grasps"][0]["tilt"] is None
+
+
+def test_json_is_as_fixed(synthesizer, tmp_path):
+    file = tmp_path / "a" / "grasps.json"
+    run(synthesizer, keep_all=True).write_json(file, "optical")
+    content = json.loads(file.read_text())
+    assert content["frame"] == "optical" and content["gripper"] == "robotiq_2f85"
+    assert content["model"] == "random" and content["seed"] == 3
+    assert content["drawn"] == 12 and content["evaluations"] == 20
+    assert {"collision", "unseen", "workspace", "tilt", "duplicate"} <= set(content["rejected"])
+    assert {*PHASES, "total"} == set(content["timing"])
+    for grasp in content["grasps"]:
+        for key in ("world_from_tcp", "world_from_gripper", "world_from_gripper_approach"):
+            assert len(grasp[key]) == 7
+            assert np.linalg.norm(grasp[key][3:]) == pytest.approx(1.0, abs=1e-6)
+        assert isinstance(grasp["collision_free"], bool)
+        assert {"score", "width", "clearance", "tilt"} <= set(grasp)
+
+
+def test_threads_are_restored(model):
+    before = torch.get_num_threads()
+    seen = []
+    synthesizer = GraspSynthesizer(model, "robotiq_2f85", threads=before + 1)
+    run(synthesizer, on_step=lambda *step: seen.append(torch.get_num_threads()))
+    assert set(seen) == {before + 1} and torch.get_num_threads() == before
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"num_grasps": 0}, InvalidRequestError, "num_grasps 0 .* from 1 to 1000"),
+        ({"num_grasps": -1}, InvalidRequestError, "num_grasps -1 .* from 1 to 1000"),
+        ({"num_grasps": 10**6}, InvalidRequestError, "num_grasps 1000000 .* from 1 to 1000"),
+        ({"num_grasps": 2.5}, InvalidRequestError, "num_grasps 2.5 .* whole number"),
+        ({"drawn": 10**6}, InvalidRequestError, "drawn 1000000"),
+        ({"seed": -4}, InvalidRequestError, "seed -4"),
+        ({"max_tilt": 4.0}, InvalidRequestError, "max_tilt 4.0"),
+        ({"approach_distance": -0.1}, InvalidRequestError, "approach_distance -0.1"),
+        ({"approach_direction": "up"}, InvalidRequestError, "expected 'tool' or 'gravity'"),
+        ({"mode": "best"}, InvalidRequestError, "expected 'default' or 'fast'"),
+        ({"exclude": np.eye(3)}, InvalidRequestError, r"expected \(E, 4, 4\)"),
+        ({"exclude_radius": float("nan")}, InvalidRequestError, "exclude_radius"),
+        ({"gravity": (0, 0, 0)}, GravityError, "expected three numbers that point down"),
+        ({"gravity": None, "approach_direction": "gravity"}, GravityError, "Give gravity"),
+        ({"gravity": None, "max_tilt": 0.3}, GravityError, "Give gravity"),
+        ({"sensor": (0.0, 0.0)}, CloudError, "expected three finite numbers"),
+        ({"region": OrientedBox.around((5, 5, 5), (0.1,) * 3)}, EmptyRegionError, "lies in the"),
+    ],
+)
+def test_wrong_arguments_are_told(synthesizer, options, error, words):
+    with pytest.raises(error, match=words):
+        run(synthesizer, **options)
+
+
+def test_all_nan_and_a_missing_sensor_are_told(synthesizer):
+    with pytest.raises(CloudError, match="finite"):
+        synthesizer.synthesize(Cloud(np.full((100, 3), np.nan), None, CAMERA))
+    with pytest.raises(CloudError, match="sensor"):
+        synthesizer.synthesize(Cloud(table_cloud().points))
+
+
+def test_no_gripper_and_unknown_names_are_told(model, tmp_path):
+    with pytest.raises(InvalidRequestError, match="no gripper is set"):
+        run(GraspSynthesizer(model))
+    with pytest.raises(UnknownGripperError, match="robotiq_2f85"):
+        GraspSynthesizer(model, "claw")
+    with pytest.raises(ModelError, match="not found"):
+        GraspSynthesizer.load(tmp_path / "none", "robotiq_2f85")
+
+
+def test_an_unknown_gripper_leaves_the_one_in_use(synthesizer):
+    with pytest.raises(UnknownGripperError):
+        synthesizer.set_gripper("claw")
+    assert synthesizer.gripper.name == "robotiq_2f85"
+
+
+def test_a_saved_model_gives_the_same_grasps(model, synthesizer, tmp_path):
+    folder = save_model(model, tmp_path / "random")
+    loaded = GraspSynthesizer.load(folder, "robotiq_2f85")
+    a, b = run(synthesizer, keep_all=True), run(loaded, keep_all=True)
+    np.testing.assert_allclose(a.grasps[0].world_from_tcp, b.grasps[0].world_from_tcp, atol=1e-9)
