@@ -227,6 +227,11 @@ def _run() -> int:
         return 1
     except (KeyboardInterrupt, ExternalShutdownException):
         return 130
+    except Exception:
+        # A signal makes rclpy's handles invalid under whatever call is running.
+        if rclpy.ok():
+            raise
+        return 130
     finally:
         executor.shutdown()
         rclpy.try_shutdown()

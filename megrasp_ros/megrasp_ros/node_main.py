@@ -33,6 +33,10 @@ def run_node(make: Callable[[], Node], *, threads: int = 4) -> None:
     except (MegraspError, ParameterException) as error:
         get_logger("megrasp_ros").fatal(str(error))
         code = 2
+    except Exception:
+        # A signal makes rclpy's handles invalid under whatever callback is running.
+        if rclpy.ok():
+            raise
     finally:
         if node is not None:
             node.destroy_node()

@@ -47,8 +47,9 @@ def result(future, seconds: float = WAIT):
 class Client:
     """Blocking calls of a running grasp_server."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, running: Processes) -> None:
         self.node = node
+        process = running.running["grasp_server"]
         self._services = {
             kind: node.create_client(kind, name)
             for kind, name in (
@@ -60,9 +61,12 @@ class Client:
             )
         }
         self.action = ActionClient(node, GenerateGrasps, "generate_grasps")
-        for client in self._services.values():
-            assert client.wait_for_service(timeout_sec=START), f"{client.srv_name} did not appear"
-        assert self.action.wait_for_server(timeout_sec=START)
+        end = time.monotonic() + START
+        waits = [client.wait_for_service for client in self._services.values()]
+        for wait in (*waits, self.action.wait_for_server):
+            while not wait(timeout_sec=1.0):
+                assert process.poll() is None, running.log("grasp_server")
+                assert time.monotonic() < end, "the node did not offer all its services"
         # Services are there before the model is loaded; the first answer comes after that.
         self.call(ListGrippers.Request(), START)
 
@@ -112,7 +116,7 @@ def running_server(
             running.start_command("grasp_server", [sys.executable, str(DOUBLE)], **parameters)
         else:
             running.start("grasp_server", **parameters)
-        yield Client(node), running
+        yield Client(node, running), running
 
 
 def table_points(count: int = 4000, *, objects: bool = True, seed: int = 0) -> np.ndarray:

@@ -125,6 +125,16 @@ def check_real_answers(client: Client, request: dict) -> None:
     assert result(finished).result.error_code in (ErrorCode.CANCELLED, *found_or_not)
 
 
+def own_segments(maps: str) -> set[str]:
+    """Return the files in shared memory of a process (from /proc/PID/maps) of over 30 MB."""
+    found = set()
+    for line in maps.splitlines():
+        low, high = (int(each, 16) for each in line.split()[0].split("-"))
+        if "/dev/shm/fastrtps_" in line and high - low > 30e6:
+            found.add(line.split()[-1])
+    return found
+
+
 def test_a_wrong_parameter_ends_the_node_with_code_2(tmp_path: Path) -> None:
     with processes(domain(3), tmp_path) as running:
         process = running.start("grasp_server", gravity=[1.0, 2.0])
@@ -172,7 +182,10 @@ def test_a_lifecycle_manager_can_own_the_node_and_sigint_ends_it_at_work(tmp_pat
         assert answer() == ErrorCode.TIMEOUT
 
         client.start(SynthesizeGrasps.Request(num_grasps=1, cloud=cloud))
+        maps = Path(f"/proc/{running.running['grasp_server'].pid}/maps").read_text()
         start = time.monotonic()
         assert running.stop("grasp_server", signal.SIGINT) == 0
         assert seconds_since(start) < 5.0
+        # Its own segments are those as large as the profile says; they must not outlive it.
+        assert not [file for file in own_segments(maps) if Path(file).exists()]
         assert "Traceback" not in running.log("grasp_server")

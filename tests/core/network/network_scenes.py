@@ -33,7 +33,8 @@ def tokens(count: int, seed: int = 1) -> GripperTokens:
 
 def moved(nodes: SceneNodes, rotation: np.ndarray, shift: np.ndarray) -> SceneNodes:
     """The scene turned about its centroid and moved; float64, so that the motion itself is
-    exact."""
+    exact.
+    """
     turn = rotation.T
     return dataclasses.replace(
         nodes,

@@ -19,7 +19,8 @@ PROCEDURAL_SEED = 900_000
 @dataclass(frozen=True)
 class GraspableSettings:
     """When an object counts as graspable: the free-space trial holds it with enough antipodal
-    candidates."""
+    candidates.
+    """
 
     candidates: int = 120
     trials: int = 30

@@ -1,5 +1,6 @@
 """What an evaluation asks for grasps: the model, or the analytic antipodal baseline behind the
-same check."""
+same check.
+"""
 
 from __future__ import annotations
 

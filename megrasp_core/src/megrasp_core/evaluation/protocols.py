@@ -69,7 +69,8 @@ class ProtocolSettings:
 @dataclass
 class SceneOutcome:
     """Counts of one scene. `first` lists every executed attempt in order, with the verdict's
-    reason."""
+    reason.
+    """
 
     first: list[tuple[bool, str]] = field(default_factory=list)
     sampled: list[tuple[bool, bool, str]] = field(default_factory=list)

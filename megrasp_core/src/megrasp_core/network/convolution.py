@@ -127,7 +127,8 @@ class ReducedConvolution(nn.Module):
 
 class SelfProduct(nn.Module):
     """Channel-wise product of two mixed copies of a node's feature over all 11 natural-parity
-    paths."""
+    paths.
+    """
 
     def __init__(self, irreps: Irreps | str) -> None:
         super().__init__()

@@ -40,7 +40,8 @@ class NoiseEmbedding(nn.Module):
 
 class AttentionBlock(nn.Module):
     """Cross-attention from gripper tokens to scene tokens, then a feed-forward layer; FiLM on
-    both."""
+    both.
+    """
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()

@@ -94,7 +94,8 @@ class EquivariantLinear(nn.Module):
 
 class EquivariantNorm(nn.Module):
     """Layer norm: scalars as usual, higher degrees divided by the root mean square of their
-    norms."""
+    norms.
+    """
 
     def __init__(self, irreps: Irreps | str, eps: float = 1e-6) -> None:
         super().__init__()

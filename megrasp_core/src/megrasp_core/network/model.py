@@ -130,7 +130,8 @@ class GraspModel(nn.Module):
 
     def graspability(self, field: SceneField, code: GripperCode) -> Tensor:
         """Logit `(n_1,)` that a grasp of this gripper has its TCP near a node of the second
-        level."""
+        level.
+        """
         gripper = code.tokens.mean(0).expand(len(field.invariants), -1)
         return self.graspability_head(torch.cat([field.invariants, gripper], -1)).squeeze(-1)
 

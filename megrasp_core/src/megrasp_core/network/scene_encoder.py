@@ -1,5 +1,6 @@
 """Steerable U-Net over the scene's nodes: encoded once per cloud, its features turn with the
-scene."""
+scene.
+"""
 
 from __future__ import annotations
 

@@ -163,7 +163,7 @@ class DepthImage:
         size = 2 * max(1, round(self.settings.hole / self.pixel_size)) + 1
         rim = ndimage.minimum_filter(image, size=size, mode="nearest")
         index = ndimage.distance_transform_edt(empty, return_distances=False, return_indices=True)
-            rows, columns = np.asarray(index)
+        rows, columns = np.asarray(index)
         nearest = image[rows, columns]
         return np.where(empty, np.minimum(rim, nearest), image).astype(np.float32)
 
