@@ -53,7 +53,7 @@ def train(
         learning_rate: after the warm-up.
         scenes_per_step: scenes per step.
         poses_per_gripper: noisy poses per gripper, scene and step.
-        heads_of: id or folder of a model of which only confidence and graspability are trained.
+        heads_of: id or folder of a model of which only the confidence is trained.
         seed: of weights, batches and noise.
     """
     if threads is not None and threads < 1:
@@ -74,6 +74,9 @@ def train(
         scenes_per_step=scenes_per_step,
         poses_per_gripper=poses_per_gripper,
         train_only="all" if heads_of is None else "heads",
+        # The samples of a model say nothing of where all grasps are.
+        graspability_weight=0.1 if heads_of is None else 0.0,
+        confidence_weight=0.1 if heads_of is None else 1.0,
         seed=seed,
     )
     if threads is not None:

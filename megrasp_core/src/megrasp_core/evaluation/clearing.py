@@ -104,7 +104,7 @@ class ClearingPlan:
         """world_from_tcp (4, 4) of the grasps that failed since the last success."""
         return list(self._failed)
 
-    def choose(self, world_from_tcp: np.ndarray) -> int | None:
+    def choose(self, world_from_tcp: Sequence[np.ndarray] | np.ndarray) -> int | None:
         """Index of the first pose (n, 4, 4), best first, not aimed at a given-up object."""
         for index, pose in enumerate(np.asarray(world_from_tcp, dtype=float).reshape(-1, 4, 4)):
             near = (

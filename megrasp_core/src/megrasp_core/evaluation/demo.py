@@ -16,6 +16,7 @@ from megrasp_core.synthesizer import GraspSynthesizer
 
 if TYPE_CHECKING:
     from megrasp_core.synthesizer import Synthesis
+    from megrasp_core.synthesizer.request import Mode
 
 DEFAULT_GRIPPERS = ("robotiq_2f85", "robotiq_3f")
 
@@ -30,7 +31,7 @@ def run_demo(
     threads: int | None = None,
     num_grasps: int = 20,
     drawn: int = 100,
-    mode: str = "default",
+    mode: Mode = "default",
     tries: int = 3,
     picture: str | Path | None = None,
     on_pick: Callable[[PickRecord], None] | None = None,
@@ -67,7 +68,7 @@ def clear_bin(
     seed: int,
     num_grasps: int = 20,
     drawn: int = 100,
-    mode: str = "default",
+    mode: Mode = "default",
     tries: int = 3,
     picture: Path | None = None,
     on_pick: Callable[[PickRecord], None] | None = None,

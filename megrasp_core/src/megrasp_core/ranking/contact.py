@@ -101,9 +101,10 @@ def contact_surface(
         # An even stride over a shuffled order: clouds come row by row, so a plain stride would
         # leave stripes.
         crop = crop[np.random.default_rng(0).permutation(len(crop))[: s.max_points]]
+    # Columns lie together in memory: points are filtered axis by axis, once per grasp.
     return ContactSurface(
-        np.asarray(crop, dtype=np.float32),
-        np.asarray(node_points, dtype=np.float32),
+        np.asfortranarray(crop, dtype=np.float32),
+        np.asfortranarray(node_points, dtype=np.float32),
         np.asarray(node_normals, dtype=np.float32),
     )
 
@@ -157,14 +158,16 @@ def _inside(
     """Points within the box in the gripper frame, and their indices."""
     origin = pose[:3, 3].astype(np.float32)
     # A cheap box in the scene's axes first: only a few percent of the points are near one gripper.
-    near = np.flatnonzero(
-        (np.abs(points[:, 0] - origin[0]) < reach)
-        & (np.abs(points[:, 1] - origin[1]) < reach)
-        & (np.abs(points[:, 2] - origin[2]) < reach)
-    )
-    local = (points[near] - origin) @ pose[:3, :3].astype(np.float32)
-    ok = ((local >= low) & (local <= high)).all(axis=1)
-    return local[ok], near[ok]
+    low_corner, high_corner = origin - reach, origin + reach
+    x, y, z = points.T
+    near = (x > low_corner[0]) & (x < high_corner[0]) & (y > low_corner[1])
+    near &= (y < high_corner[1]) & (z > low_corner[2]) & (z < high_corner[2])
+    index = np.flatnonzero(near)
+    local = pose[:3, :3].T.astype(np.float32) @ (points.T[:, index] - origin[:, None])
+    x, y, z = local
+    ok = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
+    ok &= (z >= low[2]) & (z <= high[2])
+    return local[:, ok].T, index[ok]
 
 
 def _alignment(

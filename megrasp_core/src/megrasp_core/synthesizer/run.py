@@ -22,7 +22,7 @@ from .evaluate import Assessment, SceneJudge
 from .poses import PoseSet, pose_set
 from .request import SynthesisRequest
 from .result import Synthesis
-from .selection import collect
+from .selection import Assessed, collect
 from .settings import SynthesizerSettings
 from .starts import draw_starts, has_head
 
@@ -80,16 +80,15 @@ class SynthesisRun:
         scene = self._encode(nodes)
         with self._phase("sample"):
             rotation, translation = self._descend(scene)
-            first = self._assess(judge, scene, nodes, rotation, translation, cheap=True)
-            chosen = self._best(first[1]) if self.keep < self.request.drawn else slice(None)
-            rotation, translation = self._refine(scene, rotation[chosen], translation[chosen])
+            rest: tuple[Assessed, np.ndarray] | None = None
+            if self.keep < self.request.drawn:
+                first = self._assess(judge, scene, nodes, rotation, translation, cheap=True)
+                chosen = self._best(first[1])
+                rest = first, np.setdiff1d(np.arange(self.request.drawn), chosen)
+                rotation, translation = rotation[chosen], translation[chosen]
+            rotation, translation = self._refine(scene, rotation, translation)
         with self._phase("rank"):
             final = self._assess(judge, scene, nodes, rotation, translation, cheap=False)
-            rest = (
-                None
-                if isinstance(chosen, slice)
-                else (first, np.setdiff1d(_all(first[0]), chosen))
-            )
             grasps, rejected = collect(
                 final, rest, self.mounted.probe, self.request, self.settings.ranking
             )
@@ -204,7 +203,3 @@ class SynthesisRun:
         start = time.perf_counter()
         yield
         self.timing[name] = time.perf_counter() - start
-
-
-def _all(poses: PoseSet) -> np.ndarray:
-    return np.arange(len(poses))

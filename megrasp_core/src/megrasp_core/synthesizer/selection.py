@@ -11,7 +11,7 @@ from .request import SynthesisRequest
 from .result import RankedGrasp
 from .settings import RankingSettings
 
-__all__ = ["collect"]
+__all__ = ["Assessed", "collect"]
 
 Assessed = tuple[PoseSet, Assessment]
 

@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -83,8 +84,10 @@ class _Run:
         self.out, self.config, self.device = out, config, device
         torch.manual_seed(config.seed)
         self.model = GraspModel(config.network, model_id=config.model_id)
+        self.before: dict[str, Any] = {}
         if start_from is not None:
             self.model.load_state_dict(start_from.state_dict())
+            self.before = start_from.info
         self.model.to(device).low_precision = config.low_precision
         if config.train_only == "heads":
             for name, parameter in self.model.named_parameters():
@@ -215,10 +218,13 @@ class _Run:
         with (self.out / "losses.jsonl").open("a") as file:
             file.write(json.dumps(line) + "\n")
         plot_curves(self.out / "losses.jsonl", self.out / "losses.png")
+        facts = ("model_id", "counters", "training", "data_scenes", "sha256")
+        before = {name: self.before[name] for name in facts if name in self.before}
         save_model(
             model,
             self.out / "model",
             {
+                **({"started_from": before} if before else {}),
                 "counters": dataclasses.asdict(self.counters),
                 "training": self.config.to_dict(),
                 "trained_grippers": self.hashes,
@@ -235,7 +241,8 @@ class _Run:
             "confidence": self.config.confidence_weight,
             "graspability": self.config.graspability_weight,
         }
-        return [name for name, weight in weights.items() if weight > 0]
+        trained = {name for name, weight in weights.items() if weight > 0}
+        return sorted(trained | set(self.before.get("heads", ())))
 
     @torch.no_grad()
     def _validate(self, model: GraspModel) -> dict[str, float]:
