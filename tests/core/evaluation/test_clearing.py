@@ -142,6 +142,15 @@ def test_bad_plans_are_refused(arguments, message):
         ClearingPlan(["a"], 3, tries=0)
 
 
+def test_undefined_numbers_become_null():
+    plan = ClearingPlan(["a"], 1)
+    record = PickRecord(1, "a", True, "", ("x",), 0, score=0.5, width=float("nan"))
+    plan.record(record, pose_at(0))
+    pick = json.loads(json.dumps(plan.summary(), allow_nan=False))["picks"][0]
+    assert pick["width"] is None
+    assert pick["score"] == 0.5
+
+
 def test_a_record_prints_on_one_line():
     record = PickRecord(3, "robotiq_2f85", False, "slipped", (), 4, score=0.5, returned=20)
     line = record.line()

@@ -20,6 +20,7 @@ Rules, with `tries` = 3 by default:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 
@@ -163,7 +164,7 @@ class ClearingPlan:
             "per_gripper": per_gripper,
             "tries_an_object": self.tries,
             "ended": self.ended,
-            "picks": [asdict(record) for record in self.records],
+            "picks": [_json_ready(record) for record in self.records],
         }
 
     def _advance(self) -> None:
@@ -190,3 +191,11 @@ class ClearingPlan:
     def _share(self, turns: int) -> int:
         """Objects that must be out before the gripper number `turns` is due."""
         return -(-self.objects_at_start * turns // len(self.grippers))
+
+
+def _json_ready(record: PickRecord) -> dict[str, object]:
+    """The record with null for numbers that are not defined, which JSON has no word for."""
+    return {
+        key: None if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in asdict(record).items()
+    }

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from .splat import Canvas, View, look_along, segment_points, surface_samples
+from .splat import Canvas, View, height_colours, look_along, segment_points, surface_samples
 
 if TYPE_CHECKING:
     from ..grippers import Gripper
@@ -178,17 +178,7 @@ def _scene(
         return points, cloud.colors[index]
     height = -points @ down
     low, high = np.percentile(height, [2, 99.5]) if len(height) else (0.0, 1.0)
-    return points, _height_colours((height - low) / max(high - low, 0.02))
-
-
-def _height_colours(x: np.ndarray) -> np.ndarray:
-    """Dark slate, teal, sand, light: ordered in brightness, away from the ranks' green and red."""
-    stops = np.array([0.0, 0.35, 0.7, 1.0])
-    table = np.array(
-        [[0.33, 0.36, 0.43], [0.42, 0.56, 0.66], [0.80, 0.74, 0.62], [0.97, 0.94, 0.90]]
-    )
-    x = np.clip(x, 0.0, 1.0)
-    return np.stack([np.interp(x, stops, table[:, i]) for i in range(3)], axis=1)
+    return points, height_colours((height - low) / max(high - low, 0.02))
 
 
 def _views(points: np.ndarray, down: np.ndarray, region: OrientedBox | None) -> list[View]:

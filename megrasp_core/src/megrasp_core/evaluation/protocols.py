@@ -11,8 +11,9 @@ import numpy as np
 
 from ..errors import InvalidRequestError, SimulationError
 from ..grippers import Gripper
+from ..lie.pose import matrix_from_pose7
 from ..objects import ObjectModel, procedural_object
-from ..pointcloud import Cloud
+from ..pointcloud import Cloud, OrientedBox
 from ..simulation import (
     Bin,
     DepthNoise,
@@ -28,6 +29,11 @@ from ..synthesizer import Synthesis
 from .planner import Planner
 
 ProtocolName = Literal["binpick", "declutter", "single"]
+TABLE_REGION = OrientedBox(
+    matrix_from_pose7([0, 0, 0.125, 0, 0, 0, 1]), np.array([0.5, 0.4, 0.25])
+)
+"""Where heaps on a table lie, as in the training scenes; it has no walls."""
+
 PROTOCOLS: tuple[ProtocolName, ...] = ("binpick", "declutter", "single")
 
 
@@ -118,7 +124,7 @@ def run_scene(
             break
         cloud = _look(settings, world, rng)
         options = {
-            "region": None if world.bin is None else world.bin.region(),
+            "region": TABLE_REGION if world.bin is None else world.bin.region(),
             "walls": world.bin is not None,
             "seed": int(rng.integers(2**31)),
         }

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-__all__ = ["Canvas", "View", "look_along", "segment_points", "surface_samples"]
+__all__ = ["Canvas", "View", "height_colours", "look_along", "segment_points", "surface_samples"]
 
 BACKGROUND = np.array([0.96, 0.96, 0.97])
 
@@ -165,3 +165,13 @@ def segment_points(start: np.ndarray, end: np.ndarray, spacing: float) -> np.nda
     """Points (N, 3) along a segment."""
     count = max(2, int(np.ceil(np.linalg.norm(end - start) / spacing)) + 1)
     return start + np.linspace(0.0, 1.0, count)[:, None] * (end - start)
+
+
+def height_colours(x: np.ndarray) -> np.ndarray:
+    """Dark slate, teal, sand, light: ordered in brightness, away from the ranks' green and red."""
+    stops = np.array([0.0, 0.35, 0.7, 1.0])
+    table = np.array(
+        [[0.33, 0.36, 0.43], [0.42, 0.56, 0.66], [0.80, 0.74, 0.62], [0.97, 0.94, 0.90]]
+    )
+    x = np.clip(x, 0.0, 1.0)
+    return np.stack([np.interp(x, stops, table[:, i]) for i in range(3)], axis=1)
