@@ -48,8 +48,8 @@ mkdir -p "$out"
 export ROS_LOG_DIR="${ROS_LOG_DIR:-$out/ros_log}"
 # Another run on this machine must not hear this one.
 export ROS_DOMAIN_ID="${ROS_DOMAIN_ID:-$((60 + $$ % 40))}"
-# Two processes that compute share the cores; more threads than cores make both slower.
-export OMP_NUM_THREADS="${OMP_NUM_THREADS:-$(nproc)}"
+# Two threads that have to share a core are many times slower than one; a synthesis on one takes about 2 s.
+export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}"
 
 nodes="$root/ros2_ws/install/megrasp_ros/lib/megrasp_ros"
 parameters="$root/launch_scripts/config/demo.yaml"

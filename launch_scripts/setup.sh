@@ -106,7 +106,8 @@ make_venv() {
   usable_python "$venv/bin/python" || fail "$venv is not Python 3.11 or 3.12; delete it and run this again."
 }
 
-pip() { "$venv/bin/python" -m pip --disable-pip-version-check -q "$@"; }
+# -qq: one -q still prints a line for every index that lacks a package.
+pip() { "$venv/bin/python" -m pip --disable-pip-version-check -qq "$@"; }
 
 install_torch() {
   local args=() report

@@ -34,7 +34,8 @@ echo "[test] pyright"
 pyright --pythonpath "$(command -v python)" || status=1
 
 echo "[test] pytest"
-options=(-q)
+# dash comes with open3d and brings a pytest plugin that nobody needs here
+options=(-q -p no:dash)
 if [ -n "${MEGRASP_JUNIT:-}" ]; then options+=("--junitxml=$MEGRASP_JUNIT"); fi
 python -m pytest "${options[@]}" "$@" || status=1
 
