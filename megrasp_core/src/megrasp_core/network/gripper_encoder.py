@@ -61,7 +61,7 @@ class GripperEncoder(nn.Module):
                 activation="gelu",
                 batch_first=True,
                 norm_first=True,
-            )  # fmt: skip
+            )
             for _ in range(config.gripper_layers)
         )
 
