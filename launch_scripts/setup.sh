@@ -8,7 +8,7 @@
 # Variables:
 #   MEGRASP_PYTHON      Python 3.11 or 3.12 to make the venv with (default: the first one found)
 #   MEGRASP_VENV        folder of the venv (default: .venv)
-#   MEGRASP_TORCH_ARGS  pip arguments for torch, for example --index-url of a CPU or CUDA wheel index
+#   MEGRASP_TORCH_ARGS  pip arguments that choose the build of torch (where to find CPU or CUDA wheels)
 #   MEGRASP_CUDA=never  stop instead of downloading a CUDA build of torch (several GB)
 
 set -euo pipefail
@@ -118,7 +118,7 @@ install_torch() {
     if grep -qE '"name": "(nvidia-|cuda-toolkit)' "$report"; then
       rm -f "$report"
       fail "torch would come as a CUDA build (several GB), which MEGRASP_CUDA=never forbids. Give pip a CPU build:" \
-        "MEGRASP_TORCH_ARGS='--index-url URL' with a CPU wheel index, or pip's find-links with a CPU wheel."
+        "MEGRASP_TORCH_ARGS with pip's options for a CPU wheel index, or find-links with a CPU wheel."
     fi
     rm -f "$report"
   fi

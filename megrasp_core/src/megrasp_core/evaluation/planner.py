@@ -16,7 +16,7 @@ from ..pointcloud import Cloud, SurfaceCloud, neighbours, scene_nodes, surface_c
 from ..ranking import GripperProbe, gripper_probe
 from ..synthesizer import GraspSynthesizer, Synthesis, SynthesizerSettings
 from ..synthesizer.evaluate import SceneJudge
-from ..synthesizer.poses import PoseSet
+from ..synthesizer.poses import poses_of_tcp
 from ..synthesizer.request import SynthesisRequest
 from ..synthesizer.selection import collect
 
@@ -102,7 +102,7 @@ class AntipodalPlanner:
         judge = SceneJudge(surface, request, self._options.ranking)
         rng = np.random.default_rng(request.seed)
         tcp = self.candidates(surface, request.drawn, rng)
-        poses = _pose_set(tcp, self.gripper, request)
+        poses = poses_of_tcp(tcp, self.gripper, request)
         assessment = judge.assess(poses, self._probe, None)
         grasps, rejected = collect(
             (poses, assessment), None, self._probe, request, self._options.ranking
@@ -187,13 +187,3 @@ class AntipodalPlanner:
         sink = rng.uniform(0, self.settings.depth, (len(x), 1))
         poses[:, :3, 3] = centre + sink * z
         return poses
-
-
-def _pose_set(tcp: np.ndarray, gripper: Gripper, request: SynthesisRequest) -> PoseSet:
-    world_from_gripper = tcp @ np.linalg.inv(np.asarray(gripper.gripper_from_tcp, np.float64))
-    approach = world_from_gripper.copy()
-    back = -world_from_gripper[:, :3, 2]
-    if request.approach_direction == "gravity" and request.gravity is not None:
-        back = np.broadcast_to(-request.gravity, back.shape)
-    approach[:, :3, 3] += request.approach_distance * back
-    return PoseSet(tcp, world_from_gripper, approach)

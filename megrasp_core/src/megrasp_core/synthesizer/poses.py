@@ -10,7 +10,7 @@ from torch import Tensor
 from ..grippers import Gripper
 from .request import SynthesisRequest
 
-__all__ = ["PoseSet", "pose_set"]
+__all__ = ["PoseSet", "pose_set", "poses_of_tcp"]
 
 
 @dataclass(frozen=True)
@@ -45,13 +45,18 @@ def pose_set(
     tcp = np.tile(np.eye(4), (len(rotation), 1, 1))
     tcp[:, :3, :3] = _orthonormal(rotation.detach().cpu().double().numpy())
     tcp[:, :3, 3] = translation.detach().cpu().double().numpy() + centroid
+    return poses_of_tcp(tcp, gripper, request)
+
+
+def poses_of_tcp(tcp: np.ndarray, gripper: Gripper, request: SynthesisRequest) -> PoseSet:
+    """Derive gripper and approach poses of TCP poses (N, 4, 4)."""
     world_from_gripper = tcp @ np.linalg.inv(
         np.asarray(gripper.gripper_from_tcp, dtype=np.float64)
     )
     approach = world_from_gripper.copy()
     back = -world_from_gripper[:, :3, 2]
     if request.approach_direction == "gravity" and request.gravity is not None:
-        back = -request.gravity
+        back = np.broadcast_to(-request.gravity, back.shape)
     approach[:, :3, 3] += request.approach_distance * back
     return PoseSet(tcp, world_from_gripper, approach)
 

@@ -1,0 +1,78 @@
+"""The model's own samples, tried in the scenes they were drawn for."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from megrasp_core.datasets import Kind, ObjectSet, SceneDataset, SceneRecord, SceneWriter
+from megrasp_core.diffusion import SamplerSettings
+from megrasp_core.grippers import load_gripper
+from megrasp_core.lie.pose import pose7_from_matrix
+from megrasp_core.network import PRESETS, GraspModel
+from megrasp_core.training.model_samples import SampleSettings, judge_poses, label_samples
+
+SETTINGS = SampleSettings(
+    samples=6, judged=2, colliding=3, sampler=SamplerSettings(steps=2, restarts=0)
+)
+
+
+@pytest.fixture(scope="module")
+def record() -> SceneRecord:
+    """One procedural object resting on a table, and its surface as points."""
+    objects = ObjectSet(())
+    model = objects["procedural/000003"]
+    pose = np.eye(4)
+    pose[2, 3] = -model.vertices[:, 2].min()
+    points = (model.vertices + pose[:3, 3]).astype(np.float16)
+    return SceneRecord(
+        name="scene_0000000001",
+        seed=1,
+        object_names=("procedural/000003",),
+        object_poses=pose7_from_matrix(pose[None]).astype(np.float32),
+        obstacle=np.zeros(1, bool),
+        bin_inner=None,
+        points=points,
+        normals=np.tile([0, 0, 127], (len(points), 1)).astype(np.int8),
+        on_plane=np.zeros(len(points), bool),
+        sensor=np.array([0, 0, 0.8], np.float32),
+        gravity=np.array([0, 0, -1], np.float32),
+    )
+
+
+def test_poses_get_the_verdict_of_the_scene(record):
+    down = np.diag([1.0, -1.0, -1.0, 1.0])
+    in_the_air, in_the_table = down.copy(), down.copy()
+    in_the_air[2, 3], in_the_table[2, 3] = 0.5, -0.1
+    labels = judge_poses(
+        record,
+        load_gripper("robotiq_2f85"),
+        ObjectSet(()),
+        np.stack([in_the_air, in_the_table]),
+        SETTINGS,
+    )
+    assert labels.label.tolist() == [0, 0]
+    assert labels.reason.tolist() == ["no_contact", "start_collision"]
+    assert set(labels.kind.tolist()) == {int(Kind.SAMPLED)}
+
+
+def test_a_run_writes_copies_and_resumes(record, tmp_path):
+    writer = SceneWriter(tmp_path / "scenes", {"config": "test"})
+    for seed in (1, 2):
+        writer.add(dataclasses.replace(record, seed=seed, name=f"scene_{seed:010d}"))
+    writer.close()
+    torch.manual_seed(0)
+    model = GraspModel(PRESETS["tiny"], model_id="tiny").eval()
+    arguments = (
+        tmp_path / "scenes", tmp_path / "samples", model, ("robotiq_2f85",), ObjectSet(()), SETTINGS
+    )  # fmt: skip
+    assert label_samples(*arguments, indices=[0]) == 1
+    assert label_samples(*arguments) == 1, "the scene that is there must not be made again"
+    made = SceneDataset(tmp_path / "samples")
+    assert len(made) == 2
+    labels = made[0].labels["robotiq_2f85"]
+    assert 0 < len(labels) <= SETTINGS.judged + SETTINGS.colliding
+    assert np.array_equal(made[0].points, record.points)
