@@ -67,8 +67,13 @@ def test_a_run_writes_copies_and_resumes(record, tmp_path):
     torch.manual_seed(0)
     model = GraspModel(PRESETS["tiny"], model_id="tiny").eval()
     arguments = (
-        tmp_path / "scenes", tmp_path / "samples", model, ("robotiq_2f85",), ObjectSet(()), SETTINGS
-    )  # fmt: skip
+        tmp_path / "scenes",
+        tmp_path / "samples",
+        model,
+        ("robotiq_2f85",),
+        ObjectSet(()),
+        SETTINGS,
+    )
     assert label_samples(*arguments, indices=[0]) == 1
     assert label_samples(*arguments) == 1, "the scene that is there must not be made again"
     made = SceneDataset(tmp_path / "samples")
