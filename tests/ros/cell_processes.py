@@ -22,6 +22,14 @@ WAIT = 240.0
 """Longest wait (s). Imports take 5 s of CPU, which is minutes on a very busy machine."""
 
 
+def default_signals() -> None:
+    """Lets a child be interrupted even where the tests themselves run in the background.
+
+    A shell starts background jobs with SIGINT ignored, and children inherit that.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def own_domain(offset: int) -> int:
     """A ROS domain of this test session, apart from those of other sessions on the machine."""
     return 20 + (os.getpid() * 7 + offset) % 180
@@ -65,6 +73,7 @@ class Processes:
                 env=self.env,
                 stdout=log,
                 stderr=subprocess.STDOUT,
+                preexec_fn=default_signals,
             )
         self.running[name] = process
         return process
