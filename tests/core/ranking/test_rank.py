@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from megrasp_core.ranking import (
+    Calibration,
     Contacts,
     GraspCheck,
+    RankSettings,
     excluded,
     rejection_counts,
     score_grasps,
@@ -98,6 +100,7 @@ def some_check(unseen=0.0, clearance=0.01, n: int = 1) -> GraspCheck:
         approach_inside=zeros,
         structure=zeros,
         unseen_share=np.full(n, unseen),
+        hidden_share=zeros.copy(),
         clearance=np.full(n, clearance),
         tilt=zeros,
     )
@@ -108,20 +111,30 @@ def some_contacts(quality: float) -> Contacts:
     return Contacts(one.astype(int), 0.03 * one, 0 * one, 0.01 * one, one, quality * one)
 
 
-def test_score_is_the_confidence_of_a_faultless_grasp():
-    score = score_grasps(some_check(), some_contacts(1.0), np.array([0.83]))
+def test_without_a_calibration_the_score_is_the_confidence():
+    score = score_grasps(some_check(unseen=0.1, clearance=0.0), None, np.array([0.83]))
     assert score[0] == pytest.approx(0.83)
 
 
-def test_score_falls_with_what_speaks_against_a_grasp():
-    best = score_grasps(some_check(), some_contacts(1.0), np.array([0.8]))[0]
+def test_a_calibrated_score_falls_with_what_speaks_against_a_grasp():
+    settings = RankSettings(calibration=Calibration(tilt=-3.0, hidden=-1.0, clearance=80.0))
+    best = score_grasps(some_check(), None, np.array([0.8]), settings)[0]
+    hidden, tight, tilted = some_check(), some_check(clearance=0.0), some_check()
+    hidden.hidden_share += 0.002
+    tilted.tilt = np.full(1, 0.4)
+    for check in (hidden, tight, tilted):
+        assert 0 < score_grasps(check, None, np.array([0.8]), settings)[0] < best - 0.02
+    assert score_grasps(some_check(), None, np.array([0.4]), settings)[0] < best
+
+
+def test_without_a_confidence_the_score_falls_too():
+    best = score_grasps(some_check(), some_contacts(1.0), None)[0]
     for check, contacts in (
         (some_check(unseen=0.1), some_contacts(1.0)),
         (some_check(clearance=0.0), some_contacts(1.0)),
         (some_check(), some_contacts(0.2)),
     ):
-        assert 0 < score_grasps(check, contacts, np.array([0.8]))[0] < best
-    assert score_grasps(some_check(), some_contacts(1.0), np.array([0.4]))[0] < best
+        assert 0 < score_grasps(check, contacts, None)[0] < best
 
 
 def test_without_a_confidence_the_contact_quality_makes_the_score():

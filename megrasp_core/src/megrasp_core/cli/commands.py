@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from tyro.extras import SubcommandApp
 
+from .calibrate import calibrate
 from .data import grasps, pack, scenes, stats, verify
 from .demo import demo
 from .evaluation import bench, evaluation, samples
 from .gripper import check, listed, render, show
 from .objects import generate
+from .rollouts import rollouts
 from .synthesize import synthesize
 from .train import train
 
@@ -24,11 +26,18 @@ def app() -> SubcommandApp:
     root.command(grippers, name="gripper", help="List, show, check and draw grippers.")
     root.command(_group(generate=generate), name="objects", help="Make objects to grasp.")
     data = _group(
-        grasps=grasps, scenes=scenes, pack=pack, stats=stats, verify=verify, samples=samples
+        grasps=grasps,
+        scenes=scenes,
+        pack=pack,
+        stats=stats,
+        verify=verify,
+        samples=samples,
+        rollouts=rollouts,
     )
     root.command(data, name="data", help="Make, pack and check training data.")
     root.command(train)
     root.command(evaluation, name="eval")  # type: ignore[call-overload]
+    root.command(calibrate)
     root.command(bench)
     return root
 

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..datasets.labelling import LabelSettings, label_object
+from ..datasets.object_set import ObjectSet, asset_names, procedural_names
 from ..errors import InvalidRequestError
 from ..grippers import Gripper
 from ..objects import ObjectModel, load_objects, procedural_object
 
 PROCEDURAL_POOL = 60
 PROCEDURAL_SEED = 900_000
+VALIDATION_SEED = 700_000
 """Procedural objects of evaluations are drawn from seeds from here on, training's from below."""
 
 
@@ -26,6 +28,15 @@ class GraspableSettings:
     trials: int = 30
     successes: int = 5
     seed: int = 7
+
+
+def validation_pool(procedural: int = 30) -> list[ObjectModel]:
+    """Objects for choosing thresholds: the validation tenth of the train scans (where
+    MEGRASP_ASSETS is set) and procedural ones that neither training nor evaluation draws.
+    """
+    names = [*asset_names("validation"), *procedural_names(procedural, VALIDATION_SEED)]
+    objects = ObjectSet(names)
+    return [objects[name] for name in names]
 
 
 def load_pool(folder: str | Path | None) -> list[ObjectModel]:

@@ -18,6 +18,7 @@ from ..simulation import (
     Bin,
     DepthNoise,
     TopDownCamera,
+    Verdict,
     World,
     judge,
     observe,
@@ -25,7 +26,7 @@ from ..simulation import (
     settle,
 )
 from ..simulation.cell_rest import come_to_rest
-from ..synthesizer import Synthesis
+from ..synthesizer import RankedGrasp, Synthesis
 from .planner import Planner
 
 ProtocolName = Literal["binpick", "declutter", "single"]
@@ -44,6 +45,10 @@ class ProtocolSettings:
     samples: poses judged one by one per stage, for the unfiltered and filtered rates; 0 leaves
     them out.
     drawn, returned: of every synthesis whose first grasp is executed.
+    exclude_radius: grasps whose TCP lies so near (m) to one that failed since the last success
+    are passed over.
+    judged: so many of the returned grasps are judged one by one at every stage, best first, before
+    the first is executed; for calibration.
     """
 
     protocol: ProtocolName = "binpick"
@@ -56,6 +61,8 @@ class ProtocolSettings:
     friction: float = 0.8
     max_attempts: int = 25
     max_failures: int = 3
+    exclude_radius: float = 0.05
+    judged: int = 0
     noise: DepthNoise | None = field(default_factory=DepthNoise)
     seed: int = 1
 
@@ -85,6 +92,8 @@ class SceneOutcome:
     answered: int = 0
     objects: int = 0
     removed: int = 0
+    ranked: list[tuple[RankedGrasp, bool, str]] = field(default_factory=list)
+    """Returned grasps that were judged, with success and reason."""
     seconds: list[float] = field(default_factory=list)
     """Wall time of every synthesis."""
     evaluations: int = 0
@@ -138,12 +147,17 @@ def run_scene(
             num_grasps=settings.returned,
             drawn=settings.drawn,
             exclude=list(failed),
+            exclude_radius=settings.exclude_radius,
             **options,
         )
         outcome.seconds.append(result.timing["total"])
         outcome.evaluations = result.evaluations
         if on_stage is not None:
             on_stage(result, cloud, outcome)
+        for grasp in result.grasps[: settings.judged]:
+            verdict = _try(world, grasp, goals, binpick)
+            outcome.ranked.append((grasp, bool(verdict.success), verdict.reason.value))
+            world.restore(state)
         success, lifted = _execute_first(world, result, goals, binpick, outcome)
         if not binpick:
             world.restore(state)
@@ -176,15 +190,18 @@ def _execute_first(
         outcome.first.append((False, "no_answer"))
         return False, ()
     outcome.answered += 1
-    best = result.grasps[0]
-    verdict = judge(
-        world,
-        best.world_from_gripper,
-        graspable=sorted(goals & set(world.present)),
-        approach=best.world_from_gripper_approach if approach else None,
-    )
+    verdict = _try(world, result.grasps[0], goals, approach)
     outcome.first.append((bool(verdict.success), verdict.reason.value))
     return bool(verdict.success), tuple(verdict.lifted) if verdict.success else ()
+
+
+def _try(world: World, grasp: RankedGrasp, goals: set[int], approach: bool) -> Verdict:
+    return judge(
+        world,
+        grasp.world_from_gripper,
+        graspable=sorted(goals & set(world.present)),
+        approach=grasp.world_from_gripper_approach if approach else None,
+    )
 
 
 def _judge_samples(
@@ -208,12 +225,7 @@ def _judge_samples(
     state = world.save()
     binpick = settings.protocol == "binpick"
     for grasp in result.grasps:
-        verdict = judge(
-            world,
-            grasp.world_from_gripper,
-            graspable=sorted(goals & set(world.present)),
-            approach=grasp.world_from_gripper_approach if binpick else None,
-        )
+        verdict = _try(world, grasp, goals, binpick)
         outcome.sampled.append((bool(verdict.success), grasp.collision_free, verdict.reason.value))
         world.restore(state)
 

@@ -2,6 +2,7 @@
 section 6).
 """
 
+from .calibration import FEATURES, Calibration, fit_calibration, logistic_features
 from .check import REASONS, CheckSettings, GraspCheck, check_grasps, grasp_tilt
 from .contact import Contacts, ContactSettings, ContactSurface, contact_surface, measure_contacts
 from .depth_image import DepthImage, DepthImageSettings
@@ -11,7 +12,9 @@ from .probe import ClosingVolume, GripperProbe, ProbeSettings, closing_volume, g
 from .rank import RankSettings, excluded, rejection_counts, score_grasps, suppress_duplicates
 
 __all__ = [
+    "FEATURES",
     "REASONS",
+    "Calibration",
     "CheckSettings",
     "ClosingVolume",
     "ContactSettings",
@@ -31,8 +34,10 @@ __all__ = [
     "closing_volume",
     "contact_surface",
     "excluded",
+    "fit_calibration",
     "grasp_tilt",
     "gripper_probe",
+    "logistic_features",
     "measure_contacts",
     "rejection_counts",
     "score_grasps",

@@ -46,7 +46,7 @@ class CheckSettings:
 
     max_inside: int = 0
     max_structure: int = 0
-    approach_steps: int = 5
+    approach_steps: int = 10
     max_approach_inside: int = 0
     max_unseen: float = 0.15
     near: float = 0.06
@@ -66,6 +66,8 @@ class GraspCheck:
         structure: number of gripper points in walls or below the floor, pre-grasp and approach.
         unseen_share: share of the gripper points near the TCP that lie where nothing was seen
             (pre-grasp).
+        hidden_share: the same over all points of the gripper: a few thousandths already foretell a
+            collision.
         clearance: distance of the open gripper to the nearest seen point, wall or floor (m), at
             least 0, at most the range; 0 for grasps in collision.
         tilt: angle between gripper +Z and gravity (rad); NaN where gravity is not known.
@@ -77,6 +79,7 @@ class GraspCheck:
     approach_inside: np.ndarray
     structure: np.ndarray
     unseen_share: np.ndarray
+    hidden_share: np.ndarray
     clearance: np.ndarray
     tilt: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
@@ -138,6 +141,7 @@ def check_grasps(
         approach_inside=approach_inside,
         structure=structure,
         unseen_share=(state[:, near] == PointState.UNSEEN).mean(axis=1).astype(np.float32),
+        hidden_share=(state == PointState.UNSEEN).mean(axis=1).astype(np.float32),
         clearance=np.zeros(n, dtype=np.float32),
         tilt=grasp_tilt(poses, observation.gravity),
     )

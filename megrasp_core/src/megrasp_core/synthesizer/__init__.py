@@ -6,7 +6,7 @@ from .evaluate import Assessment, SceneJudge, seen_plane
 from .poses import PoseSet, pose_set
 from .request import MAX_DRAWN, MAX_GRASPS, SynthesisRequest
 from .result import RankedGrasp, Synthesis
-from .settings import RankingSettings, SynthesizerSettings
+from .settings import PolishSettings, RankingSettings, SynthesizerSettings
 from .synthesizer import GraspSynthesizer
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "Assessment",
     "GraspSynthesizer",
     "PoseSet",
+    "PolishSettings",
     "RankedGrasp",
     "RankingSettings",
     "SceneJudge",

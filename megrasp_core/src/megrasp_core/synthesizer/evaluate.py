@@ -28,10 +28,13 @@ __all__ = ["Assessment", "SceneJudge", "seen_plane"]
 
 @dataclass(frozen=True)
 class Assessment:
-    """Check, contacts (None where the fingers do not close along X) and score (N,) of N poses."""
+    """Check, contacts (None where the fingers do not close along X), confidence (N,) (None without
+    that head) and score (N,) of N poses.
+    """
 
     check: GraspCheck
     contacts: Contacts | None
+    confidence: np.ndarray | None
     score: np.ndarray
 
 
@@ -76,6 +79,7 @@ class SceneJudge:
         confidence: np.ndarray | None,
         *,
         cheap: bool = False,
+        contacts: bool = True,
     ) -> Assessment:
         """Check and score poses.
 
@@ -84,6 +88,7 @@ class SceneJudge:
             probe: of the gripper.
             confidence: (N,) probability of success or None.
             cheap: the approach path is not tested, with the coarse points only.
+            contacts: measure what lies between the fingers, the slowest part.
         """
         request, s = self.request, self.settings
         if cheap:
@@ -96,14 +101,15 @@ class SceneJudge:
             s.check,
             max_tilt=request.max_tilt,
         )
-        contacts = None
-        if probe.volume is not None:
-            contacts = measure_contacts(self.material, probe.volume, poses.gripper, s.contact)
-            check.reject(contacts.count < s.contact.min_points, "empty")
+        between = None
+        if contacts and probe.volume is not None:
+            between = measure_contacts(self.material, probe.volume, poses.gripper, s.contact)
+            check.reject(between.count < s.contact.min_points, "empty")
         if request.exclude is not None:
             again = excluded(poses.tcp, request.exclude, request.exclude_radius, probe.symmetry)
             check.reject(again, "excluded")
-        return Assessment(check, contacts, score_grasps(check, contacts, confidence, s.rank))
+        score = score_grasps(check, between, confidence, s.rank)
+        return Assessment(check, between, confidence, score)
 
     def _material(self, surface: SurfaceCloud, plane: Plane | None) -> ContactSurface:
         """Seen points off the support plane and, in a bin, off its floor and walls."""

@@ -23,12 +23,14 @@ class RankedGrasp:
         world_from_tcp: pre-grasp, TCP frame.
         world_from_gripper: pre-grasp, gripper frame, open posture.
         world_from_gripper_approach: gripper frame at the stand-off.
-        score: 0..1, higher is better.
+        score: 0..1, higher is better; with a calibrated model the probability of success.
         width: extent of what is between the fingers along X (m); NaN where undefined.
         clearance: distance of the open gripper to the nearest seen point or wall (m).
         tilt: angle between gripper +Z and gravity (rad); NaN where gravity is not known.
         collision_free: the grasp passed the check.
         reason: why it did not, "" where it did.
+        confidence: the model's, before the check had its say; NaN without that head.
+        hidden_share: share of the open gripper that lies where nothing was seen.
     """
 
     world_from_tcp: np.ndarray
@@ -40,6 +42,8 @@ class RankedGrasp:
     tilt: float
     collision_free: bool
     reason: str = ""
+    confidence: float = float("nan")
+    hidden_share: float = 0.0
 
     def to_json(self) -> dict[str, Any]:
         """Entry of `grasps` in grasps.json; undefined numbers become null."""
@@ -52,6 +56,8 @@ class RankedGrasp:
             "clearance": _number(self.clearance),
             "tilt": _number(self.tilt),
             "collision_free": self.collision_free,
+            "confidence": _number(self.confidence),
+            "hidden_share": _number(self.hidden_share),
         }
         if self.reason:
             content["reason"] = self.reason

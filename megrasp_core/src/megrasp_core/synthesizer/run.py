@@ -19,7 +19,8 @@ from ..network import GraspModel, GripperCode, SceneField
 from ..pointcloud import Cloud, SceneNodes, SceneSettings, scene_nodes, surface_cloud
 from ..ranking import GripperProbe
 from .evaluate import Assessment, SceneJudge
-from .poses import PoseSet, pose_set
+from .polish import polish
+from .poses import PoseSet, pose_set, poses_of_tcp
 from .request import SynthesisRequest
 from .result import Synthesis
 from .selection import Assessed, collect
@@ -89,6 +90,7 @@ class SynthesisRun:
             rotation, translation = self._refine(scene, rotation, translation)
         with self._phase("rank"):
             final = self._assess(judge, scene, nodes, rotation, translation, cheap=False)
+            final = self._polished(final, judge, scene, nodes)
             grasps, rejected = collect(
                 final, rest, self.mounted.probe, self.request, self.settings.ranking
             )
@@ -176,11 +178,45 @@ class SynthesisRun:
         cheap: bool,
     ) -> tuple[PoseSet, Assessment]:
         poses = pose_set(rotation, translation, nodes.centroid, self.mounted.gripper, self.request)
+        return poses, self._judged(poses, judge, scene, rotation, translation, cheap=cheap)
+
+    def _judged(
+        self,
+        poses: PoseSet,
+        judge: SceneJudge,
+        scene: SceneField,
+        rotation: Tensor,
+        translation: Tensor,
+        *,
+        cheap: bool = False,
+        contacts: bool = True,
+    ) -> Assessment:
         confidence = None
         if has_head(self.model, "confidence"):
             logit = self.model.confidence(scene, self.mounted.code, rotation, translation)
             confidence = logit.sigmoid().cpu().double().numpy()
-        return poses, judge.assess(poses, self.mounted.probe, confidence, cheap=cheap)
+        return judge.assess(poses, self.mounted.probe, confidence, cheap=cheap, contacts=contacts)
+
+    def _polished(
+        self, final: Assessed, judge: SceneJudge, scene: SceneField, nodes: SceneNodes
+    ) -> Assessed:
+        settings = self.settings.polish
+        if self.request.mode != "default" or not has_head(self.model, "confidence"):
+            return final
+
+        def assess(tcp: np.ndarray, contacts: bool) -> Assessed:
+            self._ask()
+            poses = poses_of_tcp(tcp, self.mounted.gripper, self.request)
+            kind = {"dtype": self.model.dtype, "device": self.model.device}
+            rotation = torch.tensor(tcp[:, :3, :3], **kind)
+            translation = torch.tensor(tcp[:, :3, 3] - nodes.centroid, **kind)
+            return poses, self._judged(
+                poses, judge, scene, rotation, translation, contacts=contacts
+            )
+
+        rng = np.random.default_rng(int(self.request.seed or 0))
+        probe, rank = self.mounted.probe, self.settings.ranking.rank
+        return polish(final, assess, settings, rng, probe.symmetry, rank)
 
     def _best(self, assessment: Assessment) -> np.ndarray:
         """Indices of the poses that go on: those that pass before those that do not, each by
@@ -195,8 +231,12 @@ class SynthesisRun:
     def _tell(self, phase: str, step: int, total: int) -> None:
         if self.on_step is not None:
             self.on_step(phase, step, total)
-        if phase != "sample" and self.cancelled is not None and self.cancelled():
-            raise CancelledError(f"cancelled after phase {phase!r}")
+        if phase != "sample":
+            self._ask(f"after phase {phase!r}")
+
+    def _ask(self, where: str = "while ranking") -> None:
+        if self.cancelled is not None and self.cancelled():
+            raise CancelledError(f"cancelled {where}")
 
     @contextmanager
     def _phase(self, name: str) -> Iterator[None]:

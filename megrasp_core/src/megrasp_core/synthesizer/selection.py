@@ -77,7 +77,7 @@ def _unrefined(assessment: Assessment, index: np.ndarray) -> np.ndarray:
 
 
 def _grasp(poses: PoseSet, assessment: Assessment, i: int, reason: str) -> RankedGrasp:
-    check, contacts = assessment.check, assessment.contacts
+    check, contacts, confidence = assessment.check, assessment.contacts, assessment.confidence
     free = reason in ("", "duplicate", "surplus")
     return RankedGrasp(
         world_from_tcp=poses.tcp[i],
@@ -89,4 +89,6 @@ def _grasp(poses: PoseSet, assessment: Assessment, i: int, reason: str) -> Ranke
         tilt=float(check.tilt[i]),
         collision_free=free,
         reason=reason,
+        confidence=float("nan") if confidence is None else float(confidence[i]),
+        hidden_share=float(check.hidden_share[i]),
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from ..diffusion import SamplerSettings
+from ..errors import InvalidRequestError
 from ..pointcloud import SceneSettings
 from ..ranking import (
     CheckSettings,
@@ -14,7 +15,7 @@ from ..ranking import (
     RankSettings,
 )
 
-__all__ = ["RankingSettings", "SynthesizerSettings"]
+__all__ = ["PolishSettings", "RankingSettings", "SynthesizerSettings"]
 
 
 @dataclass(frozen=True)
@@ -28,11 +29,40 @@ class RankingSettings:
 
 
 @dataclass(frozen=True)
+class PolishSettings:
+    """How the best samples are moved.
+
+    Attributes:
+        candidates: so many samples are polished; 0: none.
+        rounds: of moves.
+        moves: tried per candidate and round.
+        distance: standard deviation of a move in the first round (m).
+        angle: that of a turn (rad).
+        shrink: of both from round to round.
+    """
+
+    candidates: int = 16
+    rounds: int = 3
+    moves: int = 8
+    distance: float = 0.004
+    angle: float = 0.09
+    shrink: float = 0.7
+
+    def __post_init__(self) -> None:
+        if min(self.candidates, self.rounds) < 0 or self.moves < 1:
+            raise InvalidRequestError(
+                f"candidates {self.candidates}, rounds {self.rounds}, moves {self.moves} were "
+                "given; expected at least 0, 0 and 1."
+            )
+
+
+@dataclass(frozen=True)
 class SynthesizerSettings:
     """What is fixed between calls.
 
     Attributes:
         sampler: denoiser evaluations and restarts.
+        polish: local search about the best samples in mode `default`.
         refined: poses that go through the restarts in mode `default` on a CPU; on a GPU all do.
         ranking: check, contacts, score.
         probe: how densely the gripper is sampled for the check.
@@ -41,6 +71,7 @@ class SynthesizerSettings:
     """
 
     sampler: SamplerSettings = field(default_factory=SamplerSettings)
+    polish: PolishSettings = field(default_factory=PolishSettings)
     refined: int = 40
     ranking: RankingSettings = field(default_factory=RankingSettings)
     probe: ProbeSettings = field(default_factory=ProbeSettings)

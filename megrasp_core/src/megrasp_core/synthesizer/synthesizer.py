@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,7 +18,7 @@ from ..errors import InvalidRequestError
 from ..grippers import Gripper, load_gripper
 from ..network import GraspModel, load_model
 from ..pointcloud import Cloud, OrientedBox, SceneSettings
-from ..ranking import GripperProbe, gripper_probe
+from ..ranking import Calibration, GripperProbe, gripper_probe
 from .request import Mode, SynthesisRequest, as_array
 from .result import Synthesis
 from .run import Cancelled, MountedGripper, OnStep, SynthesisRun
@@ -61,7 +62,7 @@ class GraspSynthesizer:
                 f"threads {threads} was given; expected at least 1, or none."
             )
         self.model = model
-        self.settings = settings or SynthesizerSettings()
+        self.settings = _calibrated(settings or SynthesizerSettings(), model)
         self.threads = threads
         config = model.config
         process = str(model.info.get("process", "diffusion"))
@@ -213,6 +214,16 @@ class GraspSynthesizer:
         finally:
             if self.threads is not None:
                 torch.set_num_threads(before)
+
+
+def _calibrated(settings: SynthesizerSettings, model: GraspModel) -> SynthesizerSettings:
+    """The settings with the calibration that `config.json` states, unless they bring their own."""
+    stated: Any = model.info.get("calibration")
+    ranking = settings.ranking
+    if stated is None or ranking.rank.calibration is not None:
+        return settings
+    rank = replace(ranking.rank, calibration=Calibration.from_dict(stated))
+    return replace(settings, ranking=replace(ranking, rank=rank))
 
 
 def _scene_settings(model: GraspModel) -> SceneSettings:

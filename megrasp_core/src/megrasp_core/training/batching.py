@@ -99,11 +99,16 @@ class SceneSource:
         return self._records[index]
 
     def draw(self, rng: np.random.Generator) -> SceneBatch:
-        """A random scene that holds a positive of at least one gripper."""
+        """A random scene that holds a positive of at least one gripper; for the heads alone, any
+        label will do: bins in which nothing can be grasped are what they have to know.
+        """
         while True:
             record = self.record(int(rng.choice(self.indices)))
             batch = self.batch(record, rng)
-            if batch.positives:
+            enough = batch.positives
+            if self._config.train_only == "heads":
+                enough = [part for part in batch.labelled.values() if len(part.label)]
+            if enough:
                 return batch
 
     def batch(

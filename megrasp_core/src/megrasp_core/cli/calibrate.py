@@ -1,0 +1,83 @@
+"""`megrasp calibrate`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from .common import Flag, emit, progress_bar, say
+
+__all__ = ["calibrate"]
+
+
+def calibrate(
+    out: Path,
+    model: str | None = None,
+    gripper: tuple[str, ...] = ("robotiq_2f85",),
+    scenes: int = 20,
+    judged: int = 8,
+    drawn: int = 100,
+    threads: int | None = None,
+    write: Flag = False,
+    seed: int = 41,
+) -> int:
+    """Fit the score to the verdict on the model's own grasps, so that it reads as a probability.
+
+    Bins are cleared as in `eval --protocol binpick`, with objects that neither training nor
+    evaluation draws; at every stage the best ranked grasps are judged one by one.
+
+    Try:
+      megrasp calibrate --out models/megrasp-small/evaluation/calibration.json --write
+
+    Args:
+        out: result file (JSON).
+        model: id or folder.
+        gripper: names of grippers; one fit for all.
+        scenes: bins per gripper.
+        judged: grasps judged per stage.
+        drawn: poses drawn per synthesis.
+        threads: torch threads.
+        write: put the result into the model's config.json, where every synthesis finds it.
+        seed: of scenes, noise and samples.
+    """
+    from ..evaluation.calibration import calibrate as fit
+    from ..evaluation.calibration import judged_grasps
+    from ..evaluation.object_pool import graspable_objects, validation_pool
+    from ..evaluation.planner import ModelPlanner
+    from ..evaluation.protocols import ProtocolSettings
+    from ..grippers import load_gripper
+    from ..network import find_model
+    from ..synthesizer import GraspSynthesizer
+
+    settings = ProtocolSettings(scenes=scenes, judged=judged, drawn=drawn, seed=seed)
+    pool = validation_pool()
+    parts = []
+    for name in gripper:
+        loaded = load_gripper(name)
+        planner = ModelPlanner(GraspSynthesizer.load(model, loaded, threads=threads))
+        usable = graspable_objects(loaded, pool)
+        say(f"{name}: {len(usable)} of {len(pool)} objects can be held")
+        with progress_bar(scenes, name) as bar:
+
+            def tell(done: int, won: int, tried: int) -> None:
+                bar.update(done - bar.n)
+                bar.set_postfix(first=f"{won}/{tried}")
+                if bar.disable and done % 5 == 0:
+                    say(f"{done} bins: first {won}/{tried}")
+
+            parts.append(judged_grasps(settings, loaded, planner, pool, usable, on_scene=tell))
+    calibration, report = fit(parts)
+    folder = find_model(model)
+    emit({"model": folder.name, "seed": seed, "drawn": drawn, **report}, out)
+    say(
+        f"{sum(len(part.success) for part in parts)} grasps; left-out bins: log loss "
+        f"{report['held_out']['log_loss']}, AUC {report['held_out']['auc']} (confidence alone: "
+        f"{report['confidence']['log_loss']}, {report['confidence']['auc']})"
+    )
+    if write:
+        config = folder / "config.json"
+        content = json.loads(config.read_text())
+        content["calibration"] = calibration.to_dict()
+        config.write_text(json.dumps(content, indent=2) + "\n")
+        say(f"wrote the calibration into {config}")
+    return 0

@@ -1,0 +1,149 @@
+"""Fits the score of a model to the verdict on its own grasps, in bins of objects that it was not
+trained on and that are not those of the final evaluation (DESIGN section 2, rates).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..grippers import Gripper
+from ..objects import ObjectModel
+from ..ranking import Calibration, fit_calibration, logistic_features
+from .planner import Planner
+from .protocols import ProtocolSettings, run_scene
+from .report import hardware
+
+FOLDS = 5
+
+
+@dataclass(frozen=True)
+class JudgedGrasps:
+    """Grasps of one gripper with their verdicts, n rows.
+
+    Attributes:
+        gripper: name.
+        scene: (n,) number of the bin.
+        features: (n, 4), see `logistic_features`.
+        confidence: (n,) of the model.
+        success: (n,) bool.
+        first: successes and trials of the first grasps in the same bins.
+    """
+
+    gripper: str
+    scene: np.ndarray
+    features: np.ndarray
+    confidence: np.ndarray
+    success: np.ndarray
+    first: tuple[int, int]
+
+    def counts(self) -> dict[str, int]:
+        """For the result file."""
+        return {
+            "scenes": len(np.unique(self.scene)),
+            "judged": len(self.success),
+            "successes": int(self.success.sum()),
+            "first_successes": self.first[0],
+            "first_trials": self.first[1],
+        }
+
+
+def judged_grasps(
+    settings: ProtocolSettings,
+    gripper: Gripper,
+    planner: Planner,
+    pool: Sequence[ObjectModel],
+    graspable: Sequence[int],
+    *,
+    on_scene: Callable[[int, int, int], None] | None = None,
+) -> JudgedGrasps:
+    """Run binpick and judge `settings.judged` grasps of every stage.
+
+    Args:
+        settings: of the protocol.
+        gripper: in the simulation.
+        planner: the model.
+        pool: objects to draw from.
+        graspable: indices of those that the gripper can hold.
+        on_scene: called with bins done, successes and trials of the first grasps so far.
+    """
+    rows: list[tuple[int, Any, bool]] = []
+    won = tried = 0
+    for index in range(settings.scenes):
+        outcome = run_scene(settings, gripper, planner, pool, graspable, index)
+        rows += [(index, grasp, success) for grasp, success, _ in outcome.ranked]
+        won += sum(success for success, _ in outcome.first)
+        tried += len(outcome.first)
+        if on_scene is not None:
+            on_scene(index + 1, won, tried)
+    confidence = np.array([grasp.confidence for _, grasp, _ in rows])
+    return JudgedGrasps(
+        gripper.name,
+        np.array([scene for scene, _, _ in rows], dtype=np.int64),
+        logistic_features(
+            confidence,
+            np.array([grasp.tilt for _, grasp, _ in rows]),
+            np.array([grasp.hidden_share for _, grasp, _ in rows]),
+            np.array([grasp.clearance for _, grasp, _ in rows]),
+        ),
+        confidence,
+        np.array([success for _, _, success in rows], dtype=bool),
+        (won, tried),
+    )
+
+
+def calibrate(judged: Sequence[JudgedGrasps]) -> tuple[Calibration, dict[str, Any]]:
+    """Fit to the grasps of all grippers, and report the quality on bins that were left out
+    (5 folds).
+
+    Raises:
+        InvalidRequestError: only successes or only failures were judged.
+    """
+    features = np.concatenate([part.features for part in judged])
+    success = np.concatenate([part.success for part in judged])
+    fold = np.concatenate([part.scene for part in judged]) % FOLDS
+    held_out = np.zeros(len(fold))
+    for k in np.unique(fold):
+        mine = fold == k
+        fit = fit_calibration(features[~mine], success[~mine])
+        held_out[mine] = fit.of_features(features[mine])
+    final = fit_calibration(features, success)
+    confidence = np.concatenate([part.confidence for part in judged])
+    return final, {
+        "calibration": final.to_dict(),
+        "grippers": {part.gripper: part.counts() for part in judged},
+        "confidence": _quality(confidence, success),
+        "held_out": _quality(held_out, success),
+        "reliability": _reliability(held_out, success),
+        "hardware": hardware(),
+    }
+
+
+def _quality(probability: np.ndarray, success: np.ndarray) -> dict[str, float]:
+    """Mean log loss (nats) and area under the ROC curve."""
+    p = np.clip(probability, 1e-4, 1 - 1e-4)
+    loss = -np.where(success, np.log(p), np.log1p(-p)).mean()
+    rank = np.argsort(np.argsort(p)) + 1.0
+    positive = int(success.sum())
+    negative = len(p) - positive
+    area = (rank[success].sum() - positive * (positive + 1) / 2) / max(1, positive * negative)
+    return {"log_loss": round(float(loss), 4), "auc": round(float(area), 4)}
+
+
+def _reliability(probability: np.ndarray, success: np.ndarray) -> list[dict[str, float]]:
+    """Mean probability and observed rate per fifth of the range."""
+    rows = []
+    place = np.minimum((probability * 5).astype(int), 4)
+    for k in np.unique(place):
+        mine = place == k
+        rows.append(
+            {
+                "predicted": round(float(probability[mine].mean()), 3),
+                "observed": round(float(success[mine].mean()), 3),
+                "count": int(mine.sum()),
+            }
+        )
+    return rows

@@ -1,0 +1,133 @@
+"""Probability of success from the model's confidence and from what the check measured."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+
+from ..errors import InvalidRequestError
+from .check import GraspCheck
+
+__all__ = ["FEATURES", "Calibration", "fit_calibration", "logistic_features"]
+
+FEATURES = ("confidence", "tilt", "hidden", "clearance")
+FULL_CLEARANCE = 0.006
+"""More clearance than this (m) makes a grasp no better."""
+
+UNKNOWN_TILT = 0.3
+"""Taken where gravity is not known (rad)."""
+
+LOGIT_LIMIT = 9.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Calibration:
+    """Logistic model of the verdict, fitted to a model's own grasps in simulation.
+
+    p = 1 / (1 + exp(-z)), z = bias + confidence logit(c) + tilt t + hidden log(1 + 1000 h)
+                               + clearance min(d, 6 mm)
+
+    with c the model's confidence, t the tilt (rad), h the share of the gripper that lies where
+    nothing was seen, d the clearance (m). The default takes the confidence as it is.
+    """
+
+    bias: float = 0.0
+    confidence: float = 1.0
+    tilt: float = 0.0
+    hidden: float = 0.0
+    clearance: float = 0.0
+
+    def probability(self, check: GraspCheck, confidence: np.ndarray) -> np.ndarray:
+        """Probability (N,) that the verdict on checked grasps is success.
+
+        Args:
+            check: of N grasps.
+            confidence: (N,) of the same, 0..1.
+        """
+        return self.of_features(
+            logistic_features(confidence, check.tilt, check.hidden_share, check.clearance)
+        )
+
+    def of_features(self, features: np.ndarray) -> np.ndarray:
+        """Probability (N,) for `logistic_features` (N, 4)."""
+        weights = np.array([getattr(self, name) for name in FEATURES])
+        return 1.0 / (1.0 + np.exp(-(features @ weights + self.bias)))
+
+    def to_dict(self) -> dict[str, float]:
+        """Plain values for config.json."""
+        return {key: round(value, 4) for key, value in dataclasses.asdict(self).items()}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Calibration:
+        """Inverse of `to_dict`.
+
+        Raises:
+            InvalidRequestError: an unknown name, or a value that is no number.
+        """
+        names = [field.name for field in dataclasses.fields(cls)]
+        unknown = sorted(set(values) - set(names))
+        if unknown or not all(isinstance(v, int | float) for v in values.values()):
+            raise InvalidRequestError(
+                f"the calibration holds {dict(values)}; expected numbers under {', '.join(names)}."
+            )
+        return cls(**{key: float(value) for key, value in values.items()})
+
+
+def logistic_features(
+    confidence: np.ndarray, tilt: np.ndarray, hidden_share: np.ndarray, clearance: np.ndarray
+) -> np.ndarray:
+    """Inputs (N, 4) of the logistic model, in the order of `FEATURES`.
+
+    Args:
+        confidence: (N,) 0..1.
+        tilt: (N,) rad; NaN where gravity is not known.
+        hidden_share: (N,) 0..1.
+        clearance: (N,) m.
+    """
+    c = np.clip(np.asarray(confidence, dtype=np.float64), 0.0, 1.0)
+    with np.errstate(divide="ignore"):
+        logit = np.clip(np.log(c) - np.log1p(-c), -LOGIT_LIMIT, LOGIT_LIMIT)
+    tilt = np.nan_to_num(tilt, nan=UNKNOWN_TILT)
+    clearance = np.minimum(clearance, FULL_CLEARANCE)
+    return np.stack([logit, tilt, np.log1p(1000 * hidden_share), clearance], axis=1).astype(
+        np.float64
+    )
+
+
+def fit_calibration(
+    features: np.ndarray, success: np.ndarray, *, penalty: float = 1.0
+) -> Calibration:
+    """Fit by maximum likelihood with a ridge towards the plain confidence.
+
+    Args:
+        features: (N, 4), see `logistic_features`.
+        success: (N,) bool.
+        penalty: of the squared weights in units of a typical spread of the features.
+
+    Raises:
+        InvalidRequestError: only successes or only failures were given.
+    """
+    y = np.asarray(success, dtype=np.float64)
+    if y.min(initial=1.0) == y.max(initial=0.0):
+        raise InvalidRequestError(
+            f"{int(y.sum())} successes of {len(y)} grasps were given; expected both successes and "
+            "failures. Judge more grasps."
+        )
+    scale = np.array([1.0, 0.2, 1.0, 0.002])
+    x = np.column_stack([np.asarray(features) / scale, np.ones(len(y))])
+    prior = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
+    strength = penalty * np.array([1.0, 1.0, 1.0, 1.0, 0.0])
+
+    def loss(w: np.ndarray) -> tuple[float, np.ndarray]:
+        z = x @ w
+        p = 1.0 / (1.0 + np.exp(-z))
+        value = np.sum(np.logaddexp(0.0, z) - y * z) + 0.5 * np.sum(strength * (w - prior) ** 2)
+        return float(value), x.T @ (p - y) + strength * (w - prior)
+
+    w = minimize(loss, prior, jac=True, method="L-BFGS-B").x
+    values = dict(zip(FEATURES, (w[:-1] / scale).tolist()))
+    return Calibration(bias=float(w[-1]), **values)

@@ -1,0 +1,117 @@
+"""Local search about the best samples: small moves that raise the score or clear a collision.
+
+A sample is good to a few millimetres and degrees; a fingertip beside a flat object or between two
+others has less room than that. The check and the confidence cost a fraction of the sampling, so
+the best samples are moved at random, with steps that shrink, and the better pose is kept.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..ranking import RankSettings, suppress_duplicates
+from .evaluate import Assessment
+from .poses import PoseSet
+from .settings import PolishSettings
+
+__all__ = ["polish", "promises"]
+
+Assessed = tuple[PoseSet, Assessment]
+T = TypeVar("T")
+
+REPAIRABLE = 3.0
+"""What a collision costs in logits of the score, next to the logarithm of the points that hit."""
+
+HOPELESS = 12.0
+"""What any other reason against a grasp costs."""
+
+
+def polish(
+    samples: Assessed,
+    assess: Callable[[np.ndarray, bool], Assessed],
+    settings: PolishSettings,
+    rng: np.random.Generator,
+    symmetry: int = 1,
+    rank: RankSettings | None = None,
+) -> Assessed:
+    """Replace the most promising samples by better poses near them.
+
+    Args:
+        samples: N poses and their assessment.
+        assess: assessment of TCP poses (n, 4, 4), with contacts measured or not.
+        settings: see `PolishSettings`.
+        rng: of the moves.
+        symmetry: of the gripper, to tell near duplicates.
+        rank: what counts as a duplicate.
+
+    Returns:
+        N poses, each as it was or one that promises more.
+    """
+    before = promises(samples[1])
+    order = np.argsort(-before, kind="stable")
+    repeats = suppress_duplicates(samples[0].tcp, before, symmetry, rank)
+    chosen = order[~repeats[order]][: settings.candidates]
+    if not len(chosen) or not settings.rounds:
+        return samples
+    tcp, promise = samples[0].tcp[chosen], before[chosen]
+    contacts = samples[1].contacts
+    centring = None if contacts is None else np.nan_to_num(contacts.offset[chosen])
+    for number in range(settings.rounds):
+        moves = _moves(len(chosen), settings, settings.shrink**number, rng)
+        if number == 0 and centring is not None:
+            moves[:, 0] = np.eye(4)
+            moves[:, 0, 0, 3] = centring
+        tried = tcp[:, None] @ moves
+        gained = promises(assess(tried.reshape(-1, 4, 4), False)[1]).reshape(moves.shape[:2])
+        best = gained.argmax(axis=1)
+        better = gained.max(axis=1) > promise
+        tcp[better] = tried[np.arange(len(chosen)), best][better]
+        promise[better] = gained.max(axis=1)[better]
+    polished = assess(tcp, True)
+    rows = np.flatnonzero(promises(polished[1]) > before[chosen])
+    return (
+        _with_rows(samples[0], chosen[rows], polished[0], rows),
+        _with_rows(samples[1], chosen[rows], polished[1], rows),
+    )
+
+
+def promises(assessment: Assessment) -> np.ndarray:
+    """Logit (N,) of the score, lowered by what a grasp that fails the check lacks to pass it."""
+    check = assessment.check
+    score = np.clip(assessment.score, 1e-6, 1 - 1e-6)
+    logit = np.log(score) - np.log1p(-score)
+    hits = check.inside + check.approach_inside + check.structure
+    collides = check.reason == "collision"
+    lack = np.where(collides, REPAIRABLE + np.log1p(hits), HOPELESS)
+    return np.where(check.passed, logit, logit - lack)
+
+
+def _moves(
+    count: int, settings: PolishSettings, scale: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Random moves (count, moves, 4, 4) in the TCP frame."""
+    shape = (count, settings.moves)
+    moves = np.tile(np.eye(4), (*shape, 1, 1))
+    moves[..., :3, 3] = rng.normal(scale=scale * settings.distance, size=(*shape, 3))
+    turns = rng.normal(scale=scale * settings.angle, size=(count * settings.moves, 3))
+    moves[..., :3, :3] = Rotation.from_rotvec(turns).as_matrix().reshape(*shape, 3, 3)
+    return moves
+
+
+def _with_rows(target: T, index: np.ndarray, source: T, rows: np.ndarray) -> T:
+    """A copy of a dataclass of arrays in which the rows `index` are the `rows` of another."""
+    values: dict[str, Any] = {}
+    for item in dataclasses.fields(target):  # type: ignore[arg-type]
+        value, other = getattr(target, item.name), getattr(source, item.name)
+        if isinstance(value, np.ndarray):
+            value = value.copy()
+            value[index] = other[rows]
+        elif dataclasses.is_dataclass(value):
+            value = _with_rows(value, index, other, rows)
+        values[item.name] = value
+    return type(target)(**values)
