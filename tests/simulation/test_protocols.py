@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
 import pytest
 
 from megrasp_core.errors import InvalidRequestError
+from megrasp_core.evaluation.ceiling import CeilingPlanner, CeilingSettings
 from megrasp_core.evaluation.object_pool import graspable_objects, load_pool
 from megrasp_core.evaluation.planner import AntipodalPlanner
 from megrasp_core.evaluation.protocols import ProtocolSettings, run_scene
 from megrasp_core.evaluation.report import evaluate
 from megrasp_core.grippers import load_gripper
 from megrasp_core.objects import procedural_object
+from megrasp_core.pointcloud import Cloud
 from megrasp_core.synthesizer import RankedGrasp, Synthesis
 
 
@@ -78,6 +81,30 @@ def test_antipodal_baseline_lifts_single_boxes(gripper, pool):
         content
     )
     json.dumps(content)
+
+
+def test_the_ceiling_names_only_grasps_that_succeed(gripper, pool):
+    settings = ProtocolSettings(scenes=1, graspable=3, obstacles=1)
+    planner = CeilingPlanner(gripper, CeilingSettings(candidates=200, moved=30, rounds=4))
+    outcome = run_scene(settings, gripper, planner, pool, range(8), 0)
+    assert outcome.removed > 0
+    assert {reason for _, reason in outcome.first} <= {"success", "no_answer"}
+
+
+def test_the_ceiling_needs_a_world(gripper):
+    with pytest.raises(InvalidRequestError, match="look_inside first"):
+        CeilingPlanner(gripper).plan(Cloud(np.zeros((1, 3))))
+
+
+def test_ranked_grasps_are_judged_and_the_state_is_restored(gripper, pool):
+    settings = ProtocolSettings(protocol="single", scenes=1, judged=3, drawn=400)
+    judged = run_scene(settings, gripper, AntipodalPlanner(gripper), pool, range(8), 0)
+    plain = dataclasses.replace(settings, judged=0)
+    assert run_scene(plain, gripper, AntipodalPlanner(gripper), pool, range(8), 0).first == (
+        judged.first
+    )
+    assert 0 < len(judged.ranked) <= 3
+    assert judged.ranked[0][1:] == judged.first[0]
 
 
 def test_same_seed_same_run(gripper, pool):

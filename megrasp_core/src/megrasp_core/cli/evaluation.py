@@ -28,6 +28,7 @@ def evaluation(
     friction: float = 0.8,
     model: str | None = None,
     baseline: Flag = False,
+    ceiling: Flag = False,
     device: str = "cpu",
     threads: int | None = None,
     seed: int = 1,
@@ -42,6 +43,7 @@ def evaluation(
       megrasp eval --gripper robotiq_2f85 --out binpick.json
       megrasp eval --gripper robotiq_2f85 --objects $MEGRASP_ASSETS/objects/devtest --out o.json
       megrasp eval --gripper robotiq_2f85 --baseline --out baseline.json
+      megrasp eval --gripper robotiq_2f85 --ceiling --samples 0 --out ceiling.json
 
     Args:
         gripper: name, or folder of a gripper.yaml.
@@ -57,10 +59,13 @@ def evaluation(
         friction: of everything.
         model: id or folder.
         baseline: the analytic antipodal baseline instead of the model.
+        ceiling: a planner that knows the true geometry and tries grasps before it names one: how
+            far the protocol can be passed at all. Use it with --samples 0.
         device: cpu or cuda.
         threads: torch threads.
         seed: of scenes, noise and samples.
     """
+    from ..evaluation.ceiling import CeilingPlanner
     from ..evaluation.object_pool import graspable_objects, load_pool
     from ..evaluation.planner import AntipodalPlanner, ModelPlanner
     from ..evaluation.protocols import ProtocolSettings
@@ -74,7 +79,9 @@ def evaluation(
     )  # fmt: skip
     loaded = load_gripper(gripper, () if gripper_path is None else (gripper_path,))
     planner: Planner
-    if baseline:
+    if ceiling:
+        planner = CeilingPlanner(loaded)
+    elif baseline:
         planner = AntipodalPlanner(loaded)
     else:
         planner = ModelPlanner(

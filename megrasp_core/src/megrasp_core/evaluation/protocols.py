@@ -27,6 +27,7 @@ from ..simulation import (
 )
 from ..simulation.cell_rest import come_to_rest
 from ..synthesizer import RankedGrasp, Synthesis
+from .ceiling import CeilingPlanner
 from .planner import Planner
 
 ProtocolName = Literal["binpick", "declutter", "single"]
@@ -119,7 +120,7 @@ def run_scene(
         index: number of the scene.
         on_stage: called after every synthesis, for pictures.
     """
-    world, obstacles = _scene(settings, gripper, pool, graspable, index)
+    world, obstacles, models = _scene(settings, gripper, pool, graspable, index)
     outcome = SceneOutcome(objects=len(world.present) - len(obstacles))
     goals = set(world.present) - obstacles
     failures = 0
@@ -142,6 +143,9 @@ def run_scene(
         if settings.samples and (not binpick or outcome.stages == 1):
             _judge_samples(settings, world, planner, cloud, options, goals, outcome)
             world.restore(state)
+        if isinstance(planner, CeilingPlanner):
+            left = goals & set(world.present)
+            planner.look_inside(world, {place: models[place] for place in left})
         result = planner.plan(
             cloud,
             num_grasps=settings.returned,
@@ -236,7 +240,7 @@ def _scene(
     pool: Sequence[ObjectModel],
     graspable: Sequence[int],
     index: int,
-) -> tuple[World, set[int]]:
+) -> tuple[World, set[int], list[ObjectModel]]:
     """Settle the scene; a draw that does not come to rest is drawn again with the next seed."""
     for attempt in range(10):
         rng = np.random.default_rng([settings.seed, index, attempt])
@@ -262,7 +266,7 @@ def _scene(
         if settled.ok and (len(kept) == len(objects) or settings.protocol != "binpick"):
             obstacles = {kept[place] for place in obstacles if place in kept}
             world = settled.world(gripper=gripper, friction=settings.friction, obstacles=obstacles)
-            return world, obstacles
+            return world, obstacles, [objects[place] for place in settled.kept]
     raise SimulationError(
         f"scene {index} of seed {settings.seed} did not come to rest in 10 draws; use fewer or "
         "smaller objects."
