@@ -164,6 +164,7 @@ class BinClearing:
                 region=self._parameters.region,
                 not_before=self._not_before,
                 exclude=[pose_from_matrix(pose) for pose in self._plan.excluded],
+                exclude_radius=self._plan.exclude_radius,
                 seed=self._parameters.seed + attempt,
             )
             if answer.success or answer.error_code in (

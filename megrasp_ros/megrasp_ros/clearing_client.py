@@ -83,6 +83,7 @@ class ClearingClient:
         region: OrientedBox,
         not_before: TimeMessage,
         exclude: Sequence[Pose],
+        exclude_radius: float,
         seed: int,
     ) -> SynthesizeGrasps.Response:
         """Calls `synthesize_grasps` for the latest cloud after `not_before`."""
@@ -91,6 +92,7 @@ class ClearingClient:
             region=region,
             not_before=not_before,
             exclude=list(exclude),
+            exclude_radius=exclude_radius,
             seed=seed,
             # The server's own timeout would end a slow machine's synthesis earlier.
             timeout=0.9 * self._timeout,

@@ -1,4 +1,4 @@
-"""The shipped grippers in simulation: they close, hold a box through shaking, and stay stable."""
+"""Registered grippers in simulation: they close, hold a box through shaking, and stay stable."""
 
 from __future__ import annotations
 
@@ -6,11 +6,22 @@ import mujoco
 import numpy as np
 import pytest
 
-from megrasp_core.grippers import Gripper, compare, list_grippers, load_gripper
+from megrasp_core.grippers import (
+    Gripper,
+    gripper_folders,
+    list_grippers,
+    load_description,
+    load_gripper,
+)
 from megrasp_core.grippers.model import COLLISION_GROUP, VISUAL_GROUP
 
-SIZE = {"franka_hand": (0.04, 0.03, 0.03), "robotiq_2f85": (0.04, 0.03, 0.03)}
-WIDE = (0.05, 0.06, 0.04)
+NARROW, WIDE = (0.04, 0.03, 0.03), (0.05, 0.06, 0.04)
+
+
+def box_size(gripper: Gripper) -> tuple[float, float, float]:
+    """Full edges of a box that fits: a wide one for hands and for opposing groups of fingers."""
+    width = gripper.description.max_width
+    return NARROW if width is not None and "3f" not in gripper.name else WIDE
 
 
 def world(gripper: Gripper, timestep: float, friction: float, mass: float) -> mujoco.MjModel:
@@ -35,7 +46,7 @@ def world(gripper: Gripper, timestep: float, friction: float, mass: float) -> mu
     box.add_freejoint()
     box.add_geom(
         type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=np.array(SIZE.get(gripper.name, WIDE)) / 2,
+        size=np.array(box_size(gripper)) / 2,
         mass=mass,
         contype=1,
         conaffinity=3,
@@ -83,18 +94,31 @@ def gripper(request: pytest.FixtureRequest) -> Gripper:
     return load_gripper(request.param)
 
 
+@pytest.fixture(
+    scope="module",
+    params=[
+        name
+        for name, folder in gripper_folders().items()
+        if load_description(folder).kind != "hand"
+    ],
+)
+def jaws(request: pytest.FixtureRequest) -> Gripper:
+    """Every registered gripper but the hands, which test_hands.py gives several tries."""
+    return load_gripper(request.param)
+
+
 @pytest.mark.parametrize("timestep", [0.002, 0.004])
-def test_holds_a_box(gripper: Gripper, timestep: float) -> None:
+def test_holds_a_box(jaws: Gripper, timestep: float) -> None:
     """The box stays within 5 mm through the shake, pressed firmly and not sunk in."""
-    slip, depth, force = hold(gripper, timestep, friction=0.8)
+    slip, depth, force = hold(jaws, timestep, friction=0.8)
     assert slip < 0.005
     assert depth < 0.0015
     assert 30.0 < force < 400.0
 
 
-def test_slips_without_friction(gripper: Gripper) -> None:
+def test_slips_without_friction(jaws: Gripper) -> None:
     """Friction comes from the object: a slippery box is lost, so holding it was no artefact."""
-    slip, _, _ = hold(gripper, 0.002, friction=0.005, mass=1.0, axis=1)
+    slip, _, _ = hold(jaws, 0.002, friction=0.005, mass=1.0, axis=1)
     assert slip > 0.02
 
 
@@ -124,50 +148,3 @@ def test_no_self_contact(gripper: Gripper) -> None:
         data.qpos[:] = gripper.qpos(posture)
         mujoco.mj_forward(gripper.model, data)
         assert data.ncon == 0
-
-
-def test_close_to_cad(gripper: Gripper, assets) -> None:
-    """Each gripper with CAD among the assets matches it (DESIGN 4: at equal joint values)."""
-    reference = reference_gripper(gripper, assets)
-    if reference is None:
-        pytest.skip(f"no CAD posture known for {gripper.name}")
-    difference = compare(gripper, reference)
-    limit = 0.005 if gripper.name == "robotiq_3f" else 0.003
-    assert max(difference.surface.values()) < limit
-    assert difference.tcp < 0.002
-    assert abs(difference.opening) < 0.002
-    assert difference.pad_motion < 0.003
-
-
-CAD = {
-    "robotiq_2f85": (
-        {"fingers_actuator": 0.0},
-        {"fingers_actuator": 255.0},
-        (("left_driver", "left_spring_link"), ("right_driver", "right_spring_link")),
-    ),
-    "franka_hand": ({"actuator8": 255.0}, {"actuator8": 0.0}, None),
-    "robotiq_3f": (
-        {"finger_1": 0.0},
-        {"finger_1": 1.2, "finger_2": 1.2, "middle_finger": 1.2},
-        None,
-    ),
-}
-
-
-def reference_gripper(gripper: Gripper, assets) -> Gripper | None:
-    """Return the CAD model of a gripper through the same loader, or None."""
-    from dataclasses import replace
-
-    from megrasp_core.grippers import PostureDescription
-
-    if gripper.name not in CAD:
-        return None
-    opened, closed, fingers = CAD[gripper.name]
-    description = replace(
-        gripper.description,
-        model=f"asset:{gripper.name}/model.xml",
-        open=PostureDescription(actuators=opened),
-        closed=PostureDescription(actuators=closed),
-        fingers=fingers or gripper.description.fingers,
-    )
-    return Gripper(description)

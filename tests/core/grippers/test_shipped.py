@@ -24,10 +24,47 @@ from megrasp_core.grippers import (
 )
 from megrasp_core.grippers.compare import pad_displacement, surface_distance
 
-SHIPPED = ("franka_hand", "robotiq_2f85", "robotiq_3f")
-TCP = {"franka_hand": 0.1034, "robotiq_2f85": 0.15, "robotiq_3f": 0.185}
-OPENING = {"franka_hand": 0.080, "robotiq_2f85": 0.085, "robotiq_3f": 0.168}
-FORWARD = {"franka_hand": 0.0, "robotiq_2f85": 0.013, "robotiq_3f": 0.0}
+SHIPPED = (
+    "franka_hand",
+    "google_gripper",
+    "rethink_gripper",
+    "robotiq_2f140",
+    "robotiq_2f85",
+    "robotiq_3f",
+    "schunk_wsg32",
+    "vx300s_gripper",
+)
+TCP = {
+    "franka_hand": 0.1034,
+    "google_gripper": 0.12,
+    "rethink_gripper": 0.1034,
+    "robotiq_2f140": 0.19,
+    "robotiq_2f85": 0.15,
+    "robotiq_3f": 0.185,
+    "schunk_wsg32": 0.125,
+    "vx300s_gripper": 0.105,
+}
+OPENING = {
+    "franka_hand": 0.080,
+    "google_gripper": 0.136,
+    "rethink_gripper": 0.060,
+    "robotiq_2f140": 0.129,
+    "robotiq_2f85": 0.085,
+    "robotiq_3f": 0.168,
+    "schunk_wsg32": 0.056,
+    "vx300s_gripper": 0.087,
+}
+# Motion of each pad towards the middle and along the approach while closing.
+CLOSING = {
+    "franka_hand": (0.040, 0.0),
+    "google_gripper": (0.058, 0.017),
+    "rethink_gripper": (0.023, 0.0),
+    "robotiq_2f140": (0.063, 0.024),
+    "robotiq_2f85": (0.0425, 0.013),
+    "robotiq_3f": (0.084, 0.0),
+    "schunk_wsg32": (0.028, 0.0),
+    "vx300s_gripper": (0.036, 0.0),
+}
 
 
 @pytest.fixture(scope="module", params=SHIPPED)
@@ -79,11 +116,12 @@ def test_frames(gripper: Gripper) -> None:
     assert points[groups >= 0, 2].max() > gripper.tcp[2] > points[groups < 0, 2].max()
     for group, side in ((0, -1.0), (1, 1.0)):
         tips = points[(groups == group) & (np.abs(points[:, 2] - gripper.tcp[2]) < 0.01)]
-        assert (side * tips[:, 0] > 0.03).all()
+        assert (side * tips[:, 0] > OPENING[gripper.name] / 2 - 0.003).all()
         moved = pad_displacement(gripper, group)
-        assert -side * moved[0] == pytest.approx(OPENING[gripper.name] / 2, abs=0.003)
+        inwards, forward = CLOSING[gripper.name]
+        assert -side * moved[0] == pytest.approx(inwards, abs=0.003)
         assert abs(moved[1]) < 0.001
-        assert moved[2] == pytest.approx(FORWARD[gripper.name], abs=0.002)
+        assert moved[2] == pytest.approx(forward, abs=0.002)
 
 
 def test_opening(gripper: Gripper) -> None:
@@ -111,12 +149,12 @@ def test_displacement_leads_to_the_closed_surface(gripper: Gripper) -> None:
     """Open points plus displacement lie on the closed gripper; the palm does not move."""
     clouds = gripper.clouds(512)
     there = clouds.open_points + clouds.displacement
-    assert surface_distance(there, gripper.meshes("closed")).max() < 1e-5
+    assert surface_distance(there, gripper.meshes("closed")).max() < 5e-5
     back = clouds.closed_points - clouds.closed_displacement
-    assert surface_distance(back, gripper.meshes("open")).max() < 1e-5
+    assert surface_distance(back, gripper.meshes("open")).max() < 5e-5
     speed = np.linalg.norm(clouds.displacement, axis=1)
-    assert (speed[clouds.open_points[:, 2] < 0.04] < 1e-9).all()
-    assert speed.max() > 0.03
+    assert (speed[clouds.open_points[:, 2] < 0.03] < 1e-9).all()
+    assert speed.max() > 0.9 * CLOSING[gripper.name][0]
 
 
 def test_normals_point_outwards(gripper: Gripper) -> None:
@@ -139,7 +177,8 @@ def test_tokens(gripper: Gripper) -> None:
     assert tokens.points.shape == tokens.normals.shape == tokens.displacement.shape == (64, 3)
     np.testing.assert_array_equal(tokens.closed, np.repeat([0.0, 1.0], 32))
     for closed in (0.0, 1.0):
-        radius = 0.126 if gripper.name == "robotiq_3f" and not closed else 0.08
+        # A wide gripper's open fingers are further away: half as far again as the nearest counts.
+        radius = 0.08 if closed else max(0.08, 1.5 * 0.5 * OPENING[gripper.name])
         near = np.linalg.norm(tokens.points[tokens.closed == closed], axis=1) <= radius
         assert near.sum() >= 16
     first = tokens.points[tokens.closed == 0.0] + gripper.tcp
@@ -175,20 +214,20 @@ def test_travels_between_processes(gripper: Gripper) -> None:
 
 
 def test_symmetry_residual(gripper: Gripper) -> None:
-    """The 2F-85 turns into itself, the Franka hand (its flange side) does not, the 3F claims
-    nothing.
+    """Some turn into themselves; the Franka's and Schunk's flange side and the Rethink's hump do
+    not, and the check says so; the 3F claims nothing.
     """
     residual = symmetry_residual(gripper)
-    if gripper.name == "robotiq_2f85":
-        assert residual < 0.003
-    elif gripper.name == "franka_hand":
-        assert 0.003 < residual < 0.010
-        assert any(
-            "symmetry 2" in text for text in check_gripper(gripper.description.folder).warnings
-        )
-    else:
+    warnings = check_gripper(gripper.description.folder).warnings
+    if gripper.name == "robotiq_3f":
         assert residual == 0.0
         assert symmetry_residual(gripper, order=2) > 0.010
+    elif gripper.name in ("franka_hand", "rethink_gripper", "schunk_wsg32"):
+        assert 0.003 < residual < 0.010
+        assert any("symmetry 2" in text for text in warnings)
+    else:
+        assert residual < 0.003
+        assert not warnings
 
 
 def test_check_passes(gripper: Gripper) -> None:

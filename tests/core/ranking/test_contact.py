@@ -87,6 +87,10 @@ def test_sides_that_face_the_fingers_are_better_than_slanted_ones(probe):
     assert quality[0] > quality[1] > quality[2]
 
 
+# The Google gripper's fingers stand apart like a V: wider at their tips than at the TCP.
+WIDER = {"google_gripper": 0.032, "google_gripper_cad": 0.032}
+
+
 @pytest.mark.parametrize("name", list_grippers())
 def test_the_closing_volume_of_every_gripper_opens_to_its_width(name):
     gripper = load_gripper(name)
@@ -96,7 +100,8 @@ def test_the_closing_volume_of_every_gripper_opens_to_its_width(name):
         return
     assert probe.volume is not None
     opening = probe.volume.high[0] - probe.volume.low[0]
-    assert opening == pytest.approx(gripper.description.max_width, abs=0.006)
+    width = gripper.description.max_width
+    assert width - 0.006 < opening < width + WIDER.get(name, 0.007)
     assert abs(probe.volume.centre) < 0.004
     assert probe.volume.low[2] < gripper.tcp[2] < probe.volume.high[2]
 

@@ -9,8 +9,8 @@ Rules, with `tries` = 3 by default:
 * The objects are shared out evenly over the grippers, the first ones taking what is left over. A
   gripper hands over as soon as its share has left the bin.
 * Tries are counted as failures in a row. A failed grasp, and a synthesis that offers no grasp to
-  execute, count one. TCP poses that failed since the last success are excluded from the next
-  synthesis.
+  execute, count one. Grasps within `exclude_radius` of TCP poses that failed since the last
+  success are excluded from the next synthesis.
 * After `tries` failures in a row the object that they were aimed at is given up for this gripper:
   grasps whose TCP lies within `give_up_radius` of the failed ones are passed over from then on.
 * When as many objects are given up as are left in the bin, or `tries` syntheses in a row offered
@@ -69,6 +69,7 @@ class ClearingPlan:
         *,
         tries: int = 3,
         give_up_radius: float = 0.05,
+        exclude_radius: float = 0.05,
     ) -> None:
         """`objects`: how many are in the bin. Raises InvalidRequestError for bad numbers."""
         if not grippers:
@@ -84,6 +85,7 @@ class ClearingPlan:
         self.grippers = tuple(grippers)
         self.tries = tries
         self.give_up_radius = give_up_radius
+        self.exclude_radius = exclude_radius
         self.objects_at_start = objects
         self.objects_left = objects
         self.records: list[PickRecord] = []

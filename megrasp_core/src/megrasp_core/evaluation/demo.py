@@ -94,6 +94,7 @@ def clear_bin(
                 sensor=cloud.viewpoint,
                 region=cell.region,
                 exclude=plan.excluded,
+                exclude_radius=plan.exclude_radius,
                 seed=seed + attempt,
             )
             seconds = time.monotonic() - begun

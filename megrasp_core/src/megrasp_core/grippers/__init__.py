@@ -13,7 +13,13 @@ from megrasp_core.grippers.description import (
 )
 from megrasp_core.grippers.gripper import Gripper
 from megrasp_core.grippers.picture import gripper_picture
-from megrasp_core.grippers.registry import gripper_folders, list_grippers, load_gripper
+from megrasp_core.grippers.registry import (
+    cad_folders,
+    cad_twins,
+    gripper_folders,
+    list_grippers,
+    load_gripper,
+)
 from megrasp_core.grippers.render import render_cloud
 from megrasp_core.grippers.symmetry import symmetry_residual
 
@@ -27,6 +33,8 @@ __all__ = [
     "GripperTokens",
     "Pose",
     "PostureDescription",
+    "cad_folders",
+    "cad_twins",
     "check_gripper",
     "compare",
     "gripper_folders",

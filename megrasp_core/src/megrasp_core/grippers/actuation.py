@@ -17,8 +17,9 @@ def apply_actuation(spec: mujoco.MjSpec, description: GripperDescription) -> Non
     model lacks.
 
     A key is a joint's name: the joint gets a position actuator of the same name, or, where the
-    model already drives that joint, that actuator is changed. It may also be the name of an
-    actuator of the model, for tendon drives.
+    model already drives that joint by position, that actuator is changed. A drive of another kind
+    (a motor, a controller plugin with a memory) is replaced: a posture could not be held by its
+    control. A key may also be the name of an actuator of the model, for tendon drives.
     """
     joints = {joint.name: joint for joint in spec.joints}
     actuators = {actuator.name: actuator for actuator in spec.actuators if actuator.name}
@@ -27,11 +28,16 @@ def apply_actuation(spec: mujoco.MjSpec, description: GripperDescription) -> Non
             joint = joints[name]
             joint.damping = _like(joint.damping, drive.damping)
             joint.armature = drive.armature
+            # Friction that the force limit cannot overcome is a mistake of the file.
+            if joint.frictionloss >= drive.force:
+                joint.frictionloss = 0.0
             driving = [item for item in spec.actuators if _drives_joint(item, name)]
-            if driving:
-                for actuator in driving:
+            for actuator in driving:
+                if _by_position(actuator):
                     _restiffen(actuator, drive)
-            else:
+                else:
+                    spec.delete(actuator)
+            if not any(_drives_joint(item, name) for item in spec.actuators):
                 _add_drive(spec, joint, drive)
         elif name in actuators:
             _restiffen(actuators[name], drive)
@@ -62,6 +68,10 @@ def control_of(model: mujoco.MjModel, qpos: NDArray[np.float64]) -> NDArray[np.f
 def _drives_joint(actuator: mujoco.MjsActuator, joint: str) -> bool:
     kinds = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
     return actuator.trntype in kinds and actuator.target == joint
+
+
+def _by_position(actuator: mujoco.MjsActuator) -> bool:
+    return not actuator.plugin.active and actuator.biasprm[1] < 0.0
 
 
 def _add_drive(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, drive: Actuation) -> None:

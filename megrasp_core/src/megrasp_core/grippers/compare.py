@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from megrasp_core.grippers.geometry import posed
 from megrasp_core.grippers.gripper import POSTURES, Gripper
-from megrasp_core.grippers.render import Mesh, raycasting_scene
+from megrasp_core.grippers.render import Mesh, draw, raycasting_scene, visible
 
 PAD_HALF_HEIGHT = 0.015
 PAD_DEPTH = 0.010
@@ -38,12 +38,10 @@ class Comparison:
 def compare(gripper: Gripper, reference: Gripper, count: int = 2000, seed: int = 0) -> Comparison:
     """Compare two grippers posture by posture in the gripper frame."""
     mean, p95 = {}, {}
-    ours, theirs = gripper.clouds(count, seed), reference.clouds(count, seed)
     for name in POSTURES:
-        own = ours.open_points if name == "open" else ours.closed_points
-        other = theirs.open_points if name == "open" else theirs.closed_points
-        there = surface_distance(own, reference.meshes(name))
-        back = surface_distance(other, gripper.meshes(name))
+        own, other = gripper.meshes(name), reference.meshes(name)
+        there = surface_distance(outer_points(own, count, seed), other)
+        back = surface_distance(outer_points(other, count, seed), own)
         mean[name] = float(there.mean() + back.mean()) / 2.0
         p95[name] = float(np.percentile(np.concatenate([there, back]), 95))
     groups = range(min(len(gripper.description.fingers), len(reference.description.fingers)))
@@ -53,6 +51,19 @@ def compare(gripper: Gripper, reference: Gripper, count: int = 2000, seed: int =
     )
     tcp = float(np.linalg.norm(gripper.tcp - reference.tcp))
     return Comparison(mean, p95, tcp, opening(gripper) - opening(reference), motion)
+
+
+def outer_points(meshes: Sequence[Mesh], count: int, seed: int) -> NDArray[np.float64]:
+    """Return points (count, 3) of the outer surface, each part with its share of the area.
+
+    Unlike `render_cloud` the points are not spread evenly: that costs a minute for 20 000 and
+    favours edges, which biases a mean over the surface.
+    """
+    seen = np.zeros((0, 3))
+    while len(seen) < count:
+        more = visible(meshes, draw(meshes, 2 * count, seed + len(seen)))
+        seen = np.concatenate([seen, more.points])
+    return seen[np.random.default_rng(seed).choice(len(seen), count, replace=False)]
 
 
 def surface_distance(points: NDArray[np.float64], meshes: Sequence[Mesh]) -> NDArray[np.float64]:

@@ -21,6 +21,7 @@ FILE_NAME = "gripper.yaml"
 KINDS = ("parallel", "adaptive", "hand")
 MODEL_SUFFIXES = (".urdf", ".xml", ".mjcf")
 ASSET_PREFIX = "asset:"
+ASSET_VARIABLE = "MEGRASP_ASSETS"
 REQUIRED = (
     "format",
     "name",
@@ -111,12 +112,11 @@ class GripperDescription:
     def model_path(self) -> Path:
         """The model file. Raises DescriptionError when it is not there."""
         if self.model.startswith(ASSET_PREFIX):
-            root = os.environ.get("MEGRASP_ASSETS")
+            root = os.environ.get(ASSET_VARIABLE)
             if not root:
                 raise DescriptionError(
                     f"{self.file}: 'model' is '{self.model}', but MEGRASP_ASSETS is not set; set "
-                    "it to the folder "
-                    "that holds grippers/"
+                    "it to the folder that holds grippers/"
                 )
             path = Path(root) / "grippers" / self.model.removeprefix(ASSET_PREFIX)
         else:

@@ -20,10 +20,13 @@ from scipy.spatial.transform import Rotation
 from megrasp_core.errors import DescriptionError
 from megrasp_core.grippers.actuation import apply_actuation
 from megrasp_core.grippers.description import GripperDescription
+from megrasp_core.grippers.inertia import correct_masses
 
 ROOT_BODY = "gripper"
 VISUAL_GROUP = 2
 COLLISION_GROUP = 3
+# MuJoCo's viewers show geoms of the groups 0 to 2 only.
+HIDDEN_GROUPS = range(3, mujoco.mjNGROUP)
 CONTACT_TYPE = 2
 CONTACT_AFFINITY = 1
 # Contact stiffness of the fingers counts against every object (solmix), friction is left to the
@@ -63,11 +66,15 @@ def build_spec(description: GripperDescription) -> mujoco.MjSpec:
 
 
 def compile_spec(spec: mujoco.MjSpec, description: GripperDescription) -> mujoco.MjModel:
-    """Compile a wrapped model. Raises DescriptionError with MuJoCo's reason."""
+    """Compile a wrapped model; impossible masses in it are corrected, in `spec` too.
+
+    Raises DescriptionError with MuJoCo's reason.
+    """
     try:
         with _quiet_mujoco(), warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return spec.compile()
+            model = spec.compile()
+            return spec.compile() if correct_masses(spec, model) else model
     except (ValueError, mujoco.FatalError) as error:
         raise DescriptionError(
             f"{description.file}: MuJoCo cannot compile {description.model_path}: {error}"
@@ -75,8 +82,17 @@ def compile_spec(spec: mujoco.MjSpec, description: GripperDescription) -> mujoco
 
 
 def _strip(spec: mujoco.MjSpec) -> None:
-    """Delete what a gripper on a mount must not bring along."""
-    for element in [*spec.keys, *spec.lights, *spec.cameras, *spec.pairs]:
+    """Delete what a gripper on a mount must not bring along.
+
+    A geom that neither touches anything nor is shown, such as the outline a planner uses, is no
+    part of the surface.
+    """
+    helpers = [
+        geom
+        for geom in spec.geoms
+        if not (geom.contype or geom.conaffinity) and geom.group in HIDDEN_GROUPS
+    ]
+    for element in [*spec.keys, *spec.lights, *spec.cameras, *spec.pairs, *helpers]:
         spec.delete(element)
 
 

@@ -1,4 +1,8 @@
-"""The registry: where grippers are found by name."""
+"""The registry: where grippers are found by name.
+
+A search folder may hold a folder `cad`: descriptions of CAD models that lie under MEGRASP_ASSETS.
+They are registered where that is set.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +12,13 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from megrasp_core.errors import DescriptionError, UnknownGripperError
-from megrasp_core.grippers.description import FILE_NAME
+from megrasp_core.grippers.description import ASSET_VARIABLE, FILE_NAME
 from megrasp_core.grippers.gripper import Gripper
 
 SHARE = Path("share") / "gripper_descriptions"
 PATH_VARIABLE = "MEGRASP_GRIPPER_PATH"
+CAD_FOLDER = "cad"
+CAD_SUFFIX = "_cad"
 
 
 def search_folders(extra_paths: Iterable[str | Path] = ()) -> list[Path]:
@@ -35,14 +41,25 @@ def gripper_folders(extra_paths: Iterable[str | Path] = ()) -> dict[str, Path]:
     """Return name -> folder of every registered gripper, sorted by name; the name is the folder's.
 
     A search folder may hold grippers (`<name>/gripper.yaml`) or be one gripper's folder itself.
+    CAD descriptions (`cad/<name>/gripper.yaml`) are left out where MEGRASP_ASSETS is not set.
     """
-    out: dict[str, Path] = {}
-    for folder in search_folders(extra_paths):
-        candidates = [folder] if (folder / FILE_NAME).is_file() else sorted(folder.iterdir())
-        for candidate in candidates:
-            if (candidate / FILE_NAME).is_file():
-                out.setdefault(candidate.name, candidate)
+    folders = search_folders(extra_paths)
+    out = _described(folders)
+    if os.environ.get(ASSET_VARIABLE):
+        out = {**cad_folders(extra_paths), **out}
     return dict(sorted(out.items()))
+
+
+def cad_folders(extra_paths: Iterable[str | Path] = ()) -> dict[str, Path]:
+    """Return name -> folder of every CAD description, whether or not MEGRASP_ASSETS is set."""
+    return _described(folder / CAD_FOLDER for folder in search_folders(extra_paths))
+
+
+def cad_twins(extra_paths: Iterable[str | Path] = ()) -> dict[str, str]:
+    """Return the own descriptions that have a CAD twin: name -> name of the twin, `<name>_cad`."""
+    cad = cad_folders(extra_paths)
+    own = _described(search_folders(extra_paths))
+    return {name: name + CAD_SUFFIX for name in sorted(own) if name + CAD_SUFFIX in cad}
 
 
 def list_grippers(extra_paths: Iterable[str | Path] = ()) -> list[str]:
@@ -55,9 +72,11 @@ def load_gripper(name_or_folder: str | Path, extra_paths: Iterable[str | Path] =
 
     Raises:
         UnknownGripperError: no such name, and no such folder (code 200).
-        DescriptionError: the description is wrong (code 201).
+        DescriptionError: the description is wrong, or is that of a CAD model and MEGRASP_ASSETS
+            is not set (code 201).
     """
-    folders = gripper_folders(extra_paths)
+    registered = gripper_folders(extra_paths)
+    folders = {**cad_folders(extra_paths), **registered}
     name = str(name_or_folder)
     if name in folders:
         gripper = Gripper.from_path(folders[name])
@@ -71,4 +90,17 @@ def load_gripper(name_or_folder: str | Path, extra_paths: Iterable[str | Path] =
     path = Path(name_or_folder).expanduser()
     if path.is_file() or path.is_dir():
         return Gripper.from_path(path)
-    raise UnknownGripperError(name, folders)
+    raise UnknownGripperError(name, registered)
+
+
+def _described(folders: Iterable[Path]) -> dict[str, Path]:
+    """Return name -> folder of the grippers in the folders, first match wins."""
+    out: dict[str, Path] = {}
+    for folder in folders:
+        if not folder.is_dir():
+            continue
+        candidates = [folder] if (folder / FILE_NAME).is_file() else sorted(folder.iterdir())
+        for candidate in candidates:
+            if (candidate / FILE_NAME).is_file():
+                out.setdefault(candidate.name, candidate)
+    return out

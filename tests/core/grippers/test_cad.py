@@ -1,0 +1,176 @@
+"""CAD descriptions: found where MEGRASP_ASSETS is set; the loader deals with what is wrong in the
+files.
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from megrasp_core.errors import DescriptionError, UnknownGripperError
+from megrasp_core.grippers import (
+    Gripper,
+    cad_folders,
+    check_gripper,
+    gripper_folders,
+    list_grippers,
+    load_gripper,
+    save_description,
+)
+from megrasp_core.grippers.compare import surface_distance
+
+JAWS = {
+    "franka_hand_cad",
+    "google_gripper_cad",
+    "rethink_gripper_cad",
+    "robotiq_2f140_cad",
+    "robotiq_2f140_mjcf_cad",
+    "robotiq_2f85_cad",
+    "robotiq_3f_cad",
+    "schunk_wsg32_cad",
+    "schunk_wsg50_cad",
+    "vx300s_gripper_cad",
+}
+
+MODEL = """
+<mujoco>
+  <default><geom rgba="0.5 0.5 0.5 1"/></default>
+  <worldbody>
+    <body name="palm">
+      <inertial mass="0.5" pos="0 0 0.02" diaginertia="4e-4 4e-4 4e-4"/>
+      <geom type="box" size="0.05 0.02 0.02" pos="0 0 0.02"/>
+      <body name="left" pos="-0.04 0 0.07">
+        <inertial {left}/>
+        <joint name="left" type="slide" axis="1 0 0" range="0 0.04" frictionloss="{friction}"/>
+        <geom type="box" size="0.005 0.01 0.03"/>
+      </body>
+      <body name="right" pos="0.04 0 0.07">
+        <inertial mass="0.02" pos="0 0 0" diaginertia="7e-6 7e-6 1e-6"/>
+        <joint name="right" type="slide" axis="-1 0 0" range="0 0.04"/>
+        <geom type="box" size="0.005 0.01 0.03"/>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+DESCRIPTION = """
+format: 1
+name: pair
+display_name: Pair of slides
+kind: parallel
+model: model.xml
+mount_from_model: {xyz: [0, 0, 0], quat: [0, 0, 0, 1]}
+tcp: [0, 0, 0.08]
+postures:
+  open: {joints: {left: 0.0, right: 0.0}}
+  closed: {joints: {left: 0.035, right: 0.035}}
+actuation:
+  left: {kp: 2000, force: 40, damping: 20, armature: 0.1}
+  right: {kp: 2000, force: 40, damping: 20, armature: 0.1}
+max_width: 0.07
+min_width: 0.0
+fingers: [[left], [right]]
+symmetry: 2
+licence: Apache-2.0
+source: a test
+"""
+
+SENSIBLE = 'mass="0.02" pos="0 0 0" diaginertia="7e-6 7e-6 1e-6"'
+IMPOSSIBLE = {
+    "micrograms": 'mass="3e-9" pos="0 0 0" diaginertia="1e-12 1e-12 1e-12"',
+    "too heavy": 'mass="9" pos="0 0 0" diaginertia="3e-3 3e-3 5e-4"',
+    "a square metre": 'mass="0.02" pos="0 0 0" diaginertia="1 1 1"',
+    "a point": 'mass="0.02" pos="0 0 0" diaginertia="3e-10 2e-10 2e-10"',
+    "another link's centre": 'mass="0.02" pos="0.06 0 0" diaginertia="7e-6 7e-6 1e-6"',
+}
+
+
+def pair(folder: Path, left: str = SENSIBLE, friction: float = 0.0) -> Gripper:
+    """Load the pair of slides, the left one with the given inertia and joint friction."""
+    (folder / "model.xml").write_text(MODEL.format(left=left, friction=friction))
+    (folder / "gripper.yaml").write_text(DESCRIPTION)
+    return Gripper.from_path(folder)
+
+
+@pytest.mark.parametrize("inertial", IMPOSSIBLE.values(), ids=IMPOSSIBLE)
+def test_impossible_masses_are_replaced(tmp_path: Path, inertial: str) -> None:
+    """By that of a box around the geom; a mass that can be is kept."""
+    gripper = pair(tmp_path, inertial)
+    body = gripper.model.body("left")
+    mass = float(body.mass[0])
+    kept = 'mass="0.02"' in inertial
+    assert mass == pytest.approx(0.02 if kept else 600 * 8 * 0.005 * 0.01 * 0.03)
+    np.testing.assert_allclose(body.ipos, 0.0, atol=1e-9)
+    expected = mass / 3 * np.array([0.01**2 + 0.03**2, 0.005**2 + 0.03**2, 0.005**2 + 0.01**2])
+    np.testing.assert_allclose(body.inertia, expected, rtol=1e-6)
+    again = gripper.spec().compile()
+    np.testing.assert_allclose(again.body_mass, gripper.model.body_mass)
+    assert gripper.model.body("right").mass[0] == pytest.approx(0.02)
+
+
+def test_sensible_masses_are_kept(tmp_path: Path) -> None:
+    """The numbers of the file, also in every own description."""
+    body = pair(tmp_path).model.body("left")
+    assert body.mass[0] == pytest.approx(0.02)
+    np.testing.assert_allclose(np.sort(body.inertia), [1e-6, 7e-6, 7e-6])
+    for name in set(list_grippers()) - set(cad_folders()):
+        gripper = load_gripper(name)
+        raw = mujoco.MjModel.from_xml_path(str(gripper.description.model_path))
+        assert gripper.model.body_mass.sum() == pytest.approx(raw.body_mass.sum()), name
+
+
+def test_friction_that_stops_the_drive_is_removed(tmp_path: Path) -> None:
+    """A drive of 40 N cannot move a joint with 100 N of friction; less friction stays."""
+    stuck = pair(tmp_path, friction=100.0)
+    assert stuck.model.joint("left").frictionloss[0] == 0.0
+    assert check_gripper(tmp_path).ok
+    assert pair(tmp_path, friction=5.0).model.joint("left").frictionloss[0] == 5.0
+
+
+def test_listed_with_assets_only(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Without MEGRASP_ASSETS they are not listed, and asking for one says what to set."""
+    monkeypatch.setenv("MEGRASP_ASSETS", str(tmp_path))
+    assert set(list_grippers()) >= JAWS
+    monkeypatch.delenv("MEGRASP_ASSETS")
+    assert not any(name.endswith("_cad") for name in list_grippers())
+    assert set(cad_folders()) >= JAWS
+    with pytest.raises(DescriptionError, match="MEGRASP_ASSETS is not set"):
+        load_gripper("robotiq_2f85_cad")
+    with pytest.raises(UnknownGripperError) as error:
+        load_gripper("robotiq_2f99_cad")
+    assert "robotiq_2f85_cad" not in str(error.value)
+
+
+def test_cad_folder_of_a_search_path(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A folder `cad` beside one's own grippers is searched alike."""
+    shutil.copytree(cad_folders()["franka_hand_cad"], tmp_path / "cad" / "franka_hand_cad")
+    monkeypatch.setenv("MEGRASP_ASSETS", str(tmp_path))
+    folder = gripper_folders([tmp_path])["franka_hand_cad"]
+    assert folder == tmp_path / "cad" / "franka_hand_cad"
+
+
+@pytest.fixture(scope="module", params=sorted(cad_folders()))
+def cad(request: pytest.FixtureRequest, assets: Path) -> Gripper:
+    """Every CAD description in turn."""
+    return load_gripper(request.param)
+
+
+def test_loads_renders_and_closes(cad: Gripper) -> None:
+    """No error in the full check, which closes it in simulation; both postures render."""
+    result = check_gripper(cad.description.folder)
+    assert result.ok, result.errors
+    assert result.measures["closing_error_2ms"] < 0.05
+    clouds = cad.clouds(256)
+    assert surface_distance(clouds.open_points, cad.meshes("open")).max() < 1e-4
+    assert surface_distance(clouds.closed_points, cad.meshes("open")).max() > 0.01
+
+
+def test_round_trips(cad: Gripper, tmp_path: Path) -> None:
+    """Saved and loaded again it is the same gripper."""
+    save_description(cad.description, tmp_path)
+    assert Gripper.from_path(tmp_path).hash == cad.hash
