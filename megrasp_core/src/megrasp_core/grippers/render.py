@@ -105,15 +105,20 @@ def visible(meshes: Sequence[Mesh], sample: SurfaceSample) -> SurfaceSample:
     scene = raycasting_scene(meshes)
     directions = sphere_directions(DIRECTIONS)
     cosine = sample.normals @ directions.T
-    # Most points are seen along directions near their normal; the others need every direction.
-    steep = np.argpartition(-cosine, STEEP, axis=1)[:, :STEEP]
-    point = np.repeat(np.arange(len(steep)), STEEP)
-    seen = np.zeros(len(steep), bool)
-    free = _escapes(scene, sample, point, directions[steep.ravel()], np.ones(len(point)))
+    # Most points are seen along the direction nearest to their normal, most of the others along
+    # one near it; only what is left needs every direction.
+    seen = _escapes(scene, sample, np.arange(len(cosine)), directions[cosine.argmax(axis=1)], 1.0)
+    left = np.flatnonzero(~seen)
+    steep = np.argpartition(-cosine[left], STEEP, axis=1)[:, :STEEP]
+    point = np.repeat(left, STEEP)
+    free = _escapes(scene, sample, point, directions[steep.ravel()], 1.0)
     seen[point[free]] = True
     normals = sample.normals.copy()
+    tried = steep[~seen[left]]
     left = np.flatnonzero(~seen)
-    row, column = np.nonzero(np.abs(cosine[left]) > GRAZING)
+    worth = np.abs(cosine[left]) > GRAZING
+    np.put_along_axis(worth, tried, False, axis=1)
+    row, column = np.nonzero(worth)
     point = left[row]
     side = np.sign(cosine[point, column])
     free = _escapes(scene, sample, point, directions[column], side)
@@ -129,10 +134,12 @@ def _escapes(
     sample: SurfaceSample,
     point: NDArray[np.int64],
     direction: NDArray[np.float64],
-    side: NDArray[np.float64],
+    side: NDArray[np.float64] | float,
 ) -> NDArray[np.bool_]:
-    """Return which rays (K,) from just off the surface, on the given side of it, hit nothing."""
-    origin = sample.points[point] + STAND_OFF * side[:, None] * sample.normals[point]
+    """Return which rays (K,) from just off the surface hit nothing; `side` (K,), or one for all,
+    is 1 outside, -1 inside of it.
+    """
+    origin = sample.points[point] + STAND_OFF * np.reshape(side, (-1, 1)) * sample.normals[point]
     rays = np.concatenate([origin, direction], axis=1).astype(np.float32)
     return ~scene.test_occlusions(o3d.core.Tensor.from_numpy(rays)).numpy()
 
