@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 __all__ = ["ClosingVolume", "GripperProbe", "ProbeSettings", "closing_volume", "gripper_probe"]
 
 
+CLOUD_SIZES = (1024, 4096)
+
+
 @dataclass(frozen=True)
 class ProbeSettings:
     """How densely a gripper is probed.
@@ -102,17 +105,30 @@ def gripper_probe(gripper: Gripper, settings: ProbeSettings | None = None) -> Gr
     near = np.linalg.norm(points - tcp, axis=1) < s.near
     points = np.concatenate([points[near], thinned(points[~near], s.far_spacing)])
     dense, _ = gripper.collision_points(spacing=0.003)
-    clouds = gripper.clouds(count=1024, seed=s.seed)
     return GripperProbe(
         points=points,
         approach_points=thinned(points, s.approach_spacing),
         field=DistanceField.around(dense, s.clearance_range),
         tcp=tcp,
-        volume=closing_volume(clouds.open_points, clouds.open_normals, clouds.displacement, tcp),
+        volume=_volume_of(gripper, s.seed),
         max_width=gripper.description.max_width,
         symmetry=int(gripper.description.symmetry),
         name=gripper.name,
     )
+
+
+def _volume_of(gripper: Gripper, seed: int) -> ClosingVolume | None:
+    """Closing volume of a gripper, from a denser cloud where the first has too few points of a
+    finger: a forearm takes most of them.
+    """
+    for count in CLOUD_SIZES:
+        clouds = gripper.clouds(count=count, seed=seed)
+        volume = closing_volume(
+            clouds.open_points, clouds.open_normals, clouds.displacement, gripper.tcp
+        )
+        if volume is not None:
+            return volume
+    return None
 
 
 def thinned(points: np.ndarray, spacing: float) -> np.ndarray:
