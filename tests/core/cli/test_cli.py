@@ -257,10 +257,42 @@ def test_gripper_list_show_and_render(capsys, tmp_path):
 
 
 def test_gripper_check_against_itself_finds_no_difference(capsys):
-    code, said, _ = run(capsys, "gripper", "check", "robotiq_2f85", "--against", "robotiq_2f85")
+    args = ("gripper", "check", "robotiq_2f85", "--against", "robotiq_2f85", "--points", 500)
+    code, said, _ = run(capsys, *args)
     report = json.loads(said[: said.rindex("}") + 1])
     assert code == 0 and report["findings"] == []
-    assert report["against"]["open"]["max"] == 0.0 and report["against"]["closed"]["max"] == 0.0
+    measures = report["against"]["measures"]
+    assert measures["surface_open"]["value"] == measures["tcp"]["value"] == 0.0
+    assert "pad motion                0.00     3.0  pass" in said
+
+
+def test_gripper_check_against_another_names_what_differs(capsys, tmp_path):
+    args = ("gripper", "check", "franka_hand", "--against", "robotiq_2f85", "--points", 500)
+    code, said, _ = run(capsys, *args, "--out", tmp_path / "c.json")
+    report = json.loads((tmp_path / "c.json").read_text())
+    assert code == 1 and not report["against"]["passed"]
+    assert "finding: against robotiq_2f85: tcp is 46.60 mm; expected at most 2.0 mm" in said
+    assert "TCP                      46.60     2.0  FAIL" in said
+    code, _, told = run(capsys, *args[:-1], 0)
+    assert code == 2 and "--points is 0; expected at least 1" in told
+
+
+def test_gripper_fidelity_writes_file_and_page(capsys, tmp_path, assets):
+    out, page = tmp_path / "f.json", tmp_path / "page.md"
+    args = ("gripper", "fidelity", "--out", out, "--page", page)
+    page.write_text("no marks\n")
+    code, _, told = run(capsys, *args, "schunk_wsg32")
+    assert code == 2 and "<!-- fidelity -->" in told and not out.exists()
+    page.write_text("before\n<!-- fidelity -->\nold\n<!-- /fidelity -->\nafter\n")
+    for name in ("schunk_wsg32", "franka_hand"):
+        code, said, _ = run(capsys, *args, name)
+        assert code == 0 and f"| {name} |" in said
+    entries = json.loads(out.read_text())
+    assert [entry["gripper"] for entry in entries] == ["franka_hand", "schunk_wsg32"]
+    assert all(entry["passed"] and entry["points"] == 20000 for entry in entries)
+    text = page.read_text()
+    assert text.startswith("before\n<!-- fidelity -->\n| gripper |") and "old" not in text
+    assert text.endswith("<!-- /fidelity -->\nafter\n") and "| franka_hand |" in text
 
 
 def test_objects_generate(capsys, tmp_path):

@@ -8,11 +8,15 @@ from .calibrate import calibrate
 from .data import grasps, pack, scenes, stats, verify
 from .demo import demo
 from .evaluation import bench, evaluation, samples
+from .family import sample
+from .fidelity import fidelity
 from .gripper import check, listed, render, show
 from .objects import generate
+from .postures import postures
 from .rollouts import rollouts
 from .synthesize import synthesize
 from .train import train
+from .wizard import new, score_wizard
 
 __all__ = ["app"]
 
@@ -22,8 +26,18 @@ def app() -> SubcommandApp:
     root = SubcommandApp()
     root.command(demo)
     root.command(synthesize)
-    grippers = _group(list=listed, show=show, check=check, render=render)
-    root.command(grippers, name="gripper", help="List, show, check and draw grippers.")
+    grippers = _group(
+        list=listed,
+        show=show,
+        check=check,
+        render=render,
+        new=new,
+        sample=sample,
+        fidelity=fidelity,
+        postures=postures,
+        score_wizard=score_wizard,
+    )
+    root.command(grippers, name="gripper", help="List, show, check, draw and add grippers.")
     root.command(_group(generate=generate), name="objects", help="Make objects to grasp.")
     data = _group(
         grasps=grasps,
@@ -45,5 +59,5 @@ def app() -> SubcommandApp:
 def _group(**functions: object) -> SubcommandApp:
     group = SubcommandApp()
     for name, function in functions.items():
-        group.command(function, name=name)  # type: ignore[call-overload]
+        group.command(function, name=name.replace("_", "-"))  # type: ignore[call-overload]
     return group

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
+from ..errors import InvalidRequestError
 from .common import emit, say
 
 if TYPE_CHECKING:
@@ -62,24 +63,34 @@ def show(name: tyro.conf.Positional[str], out: Path | None = None) -> int:
 
 
 def check(
-    path: tyro.conf.Positional[str], against: str | None = None, out: Path | None = None
+    path: tyro.conf.Positional[str],
+    against: str | None = None,
+    points: int = 20000,
+    out: Path | None = None,
 ) -> int:
     """Check a gripper description, and compare its shape with another's.
 
     Loads description and model, settles both postures, renders both clouds, tests that the fingers
-    close towards each other and that the stated symmetry holds. Exit code 1 with findings.
+    close towards each other and that the stated symmetry holds. Against another gripper, prints
+    how far surfaces, TCP, opening and the motion of the pads differ; more than the limits is a
+    finding. Exit code 1 with findings.
 
     Try: megrasp gripper check my_gripper/ --against robotiq_2f85
 
     Args:
         path: folder of a gripper.yaml, or a registered name.
-        against: another gripper; distances between the two surfaces are reported.
+        against: another gripper, such as the CAD model of the same one.
+        points: surface points of each posture that are compared.
         out: JSON with the facts and findings.
     """
     from ..grippers import load_gripper
+    from ..grippers.fidelity import fidelity, text_table
     from ..ranking import gripper_probe
 
+    if points < 1:
+        raise InvalidRequestError(f"--points is {points}; expected at least 1.")
     gripper = load_gripper(path)
+    other = None if against is None else load_gripper(against)
     findings: list[str] = []
     warnings: list[str] = []
     report = _facts(gripper)
@@ -95,14 +106,20 @@ def check(
         findings.append(
             "no finger surfaces face each other along X and close; is X the closing axis?"
         )
-    if against is not None:
-        other = load_gripper(against)
-        report["against"] = {
-            "gripper": other.name,
-            **{posture: _difference(gripper, other, posture) for posture in ("open", "closed")},
-        }
+    result = None if other is None else fidelity(gripper, other, points)
+    if result is not None:
+        report["against"] = result.to_dict()
+        findings += [
+            f"against {result.reference}: {m.quantity} is {1000 * m.value:.2f} mm; expected at "
+            f"most {1000 * m.limit:.1f} mm"
+            for m in result.measures
+            if m.limit is not None and not m.passed
+        ]
     report["findings"], report["warnings"] = findings, warnings
     emit(report, out)
+    if result is not None:
+        say(f"{gripper.name} against {result.reference}, {points} points")
+        say(text_table(result))
     for warning in warnings:
         say(f"warning: {warning}")
     for finding in findings:
@@ -153,19 +170,6 @@ def _symmetry_residual(gripper: Gripper) -> float:
     )
     points = gripper.clouds(SYMMETRY_POINTS).open_points - gripper.tcp
     return float(np.percentile(_distances(points @ turn.T, points), 95))
-
-
-def _difference(gripper: Gripper, other: Gripper, posture: str) -> dict[str, float]:
-    import numpy as np
-
-    clouds = gripper.clouds(), other.clouds()
-    mine, theirs = (getattr(c, f"{posture}_points") for c in clouds)
-    both = np.concatenate([_distances(mine, theirs), _distances(theirs, mine)])
-    return {
-        "median": float(np.median(both)),
-        "p95": float(np.percentile(both, 95)),
-        "max": float(both.max()),
-    }
 
 
 def _distances(points: np.ndarray, to: np.ndarray) -> np.ndarray:
