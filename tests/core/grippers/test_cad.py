@@ -10,6 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from gripper_cases import SENSIBLE, slide_pair
 
 from megrasp_core.errors import DescriptionError, UnknownGripperError
 from megrasp_core.grippers import (
@@ -36,51 +37,6 @@ JAWS = {
     "vx300s_gripper_cad",
 }
 
-MODEL = """
-<mujoco>
-  <default><geom rgba="0.5 0.5 0.5 1"/></default>
-  <worldbody>
-    <body name="palm">
-      <inertial mass="0.5" pos="0 0 0.02" diaginertia="4e-4 4e-4 4e-4"/>
-      <geom type="box" size="0.05 0.02 0.02" pos="0 0 0.02"/>
-      <body name="left" pos="-0.04 0 0.07">
-        <inertial {left}/>
-        <joint name="left" type="slide" axis="1 0 0" range="0 0.04" frictionloss="{friction}"/>
-        <geom type="box" size="0.005 0.01 0.03"/>
-      </body>
-      <body name="right" pos="0.04 0 0.07">
-        <inertial mass="0.02" pos="0 0 0" diaginertia="7e-6 7e-6 1e-6"/>
-        <joint name="right" type="slide" axis="-1 0 0" range="0 0.04"/>
-        <geom type="box" size="0.005 0.01 0.03"/>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>
-"""
-
-DESCRIPTION = """
-format: 1
-name: pair
-display_name: Pair of slides
-kind: parallel
-model: model.xml
-mount_from_model: {xyz: [0, 0, 0], quat: [0, 0, 0, 1]}
-tcp: [0, 0, 0.08]
-postures:
-  open: {joints: {left: 0.0, right: 0.0}}
-  closed: {joints: {left: 0.035, right: 0.035}}
-actuation:
-  left: {kp: 2000, force: 40, damping: 20, armature: 0.1}
-  right: {kp: 2000, force: 40, damping: 20, armature: 0.1}
-max_width: 0.07
-min_width: 0.0
-fingers: [[left], [right]]
-symmetry: 2
-licence: Apache-2.0
-source: a test
-"""
-
-SENSIBLE = 'mass="0.02" pos="0 0 0" diaginertia="7e-6 7e-6 1e-6"'
 IMPOSSIBLE = {
     "micrograms": 'mass="3e-9" pos="0 0 0" diaginertia="1e-12 1e-12 1e-12"',
     "too heavy": 'mass="9" pos="0 0 0" diaginertia="3e-3 3e-3 5e-4"',
@@ -92,9 +48,7 @@ IMPOSSIBLE = {
 
 def pair(folder: Path, left: str = SENSIBLE, friction: float = 0.0) -> Gripper:
     """Load the pair of slides, the left one with the given inertia and joint friction."""
-    (folder / "model.xml").write_text(MODEL.format(left=left, friction=friction))
-    (folder / "gripper.yaml").write_text(DESCRIPTION)
-    return Gripper.from_path(folder)
+    return slide_pair(folder, left=left, friction=friction)
 
 
 @pytest.mark.parametrize("inertial", IMPOSSIBLE.values(), ids=IMPOSSIBLE)

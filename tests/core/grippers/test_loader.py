@@ -7,61 +7,14 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from gripper_cases import slide_pair
 
 from megrasp_core.grippers import Gripper
-
-MODEL = """
-<mujoco>
-  <default><geom type="box" size="0.005 0.01 0.03"/></default>
-  <worldbody>
-    <body name="palm">
-      <inertial mass="0.5" pos="0 0 0.02" diaginertia="4e-4 4e-4 4e-4"/>
-      <geom size="0.05 0.02 0.02" pos="0 0 0.02"/>
-      {extra}
-      <body name="left" pos="-0.04 0 0.07">
-        <inertial mass="0.02" pos="0 0 0" diaginertia="7e-6 7e-6 1e-6"/>
-        <joint name="left" type="slide" axis="1 0 0" range="0 0.04"/>
-        <geom/>
-      </body>
-      <body name="right" pos="0.04 0 0.07">
-        <inertial mass="0.02" pos="0 0 0" diaginertia="7e-6 7e-6 1e-6"/>
-        <joint name="right" type="slide" axis="-1 0 0" range="0 0.04"/>
-        <geom/>
-      </body>
-    </body>
-  </worldbody>
-  <actuator>{actuators}</actuator>
-</mujoco>
-"""
-
-DESCRIPTION = """
-format: 1
-name: pair
-display_name: Pair of slides
-kind: parallel
-model: model.xml
-mount_from_model: {xyz: [0, 0, 0], quat: [0, 0, 0, 1]}
-tcp: [0, 0, 0.08]
-postures:
-  open: {joints: {left: 0.01, right: 0.0}}
-  closed: {joints: {left: 0.035, right: 0.035}}
-actuation:
-  left: {kp: 2000, force: 40, damping: 20, armature: 0.1}
-  right: {kp: 2000, force: 40, damping: 20, armature: 0.1}
-max_width: 0.07
-min_width: 0.0
-fingers: [[left], [right]]
-symmetry: 1
-licence: Apache-2.0
-source: a test
-"""
 
 
 def pair(folder: Path, extra: str = "", actuators: str = "") -> Gripper:
     """Load the pair of slides with more geoms in its palm, and with drives in the file."""
-    (folder / "model.xml").write_text(MODEL.format(extra=extra, actuators=actuators))
-    (folder / "gripper.yaml").write_text(DESCRIPTION)
-    return Gripper.from_path(folder)
+    return slide_pair(folder, extra=extra, actuators=actuators, open_left=0.01)
 
 
 @pytest.mark.parametrize(("group", "kept"), [(0, 1), (2, 1), (3, 0), (5, 0)])

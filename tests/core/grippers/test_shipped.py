@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gripper_cases import OWN_JAWS
 
 from megrasp_core.errors import DescriptionError, InvalidRequestError, UnknownGripperError
 from megrasp_core.grippers import (
@@ -24,16 +25,6 @@ from megrasp_core.grippers import (
 )
 from megrasp_core.grippers.compare import pad_displacement, surface_distance
 
-SHIPPED = (
-    "franka_hand",
-    "google_gripper",
-    "rethink_gripper",
-    "robotiq_2f140",
-    "robotiq_2f85",
-    "robotiq_3f",
-    "schunk_wsg32",
-    "vx300s_gripper",
-)
 TCP = {
     "franka_hand": 0.1034,
     "google_gripper": 0.12,
@@ -67,7 +58,7 @@ CLOSING = {
 }
 
 
-@pytest.fixture(scope="module", params=SHIPPED)
+@pytest.fixture(scope="module", params=OWN_JAWS)
 def gripper(request: pytest.FixtureRequest) -> Gripper:
     """Every shipped gripper in turn."""
     return load_gripper(request.param)
@@ -75,7 +66,7 @@ def gripper(request: pytest.FixtureRequest) -> Gripper:
 
 def test_registry_lists_shipped() -> None:
     """The checkout's grippers are found by name; unknown names list them."""
-    assert set(SHIPPED) <= set(list_grippers())
+    assert set(OWN_JAWS) <= set(list_grippers())
     with pytest.raises(UnknownGripperError) as error:
         load_gripper("robotiq_2f58")
     assert "robotiq_2f85" in str(error.value)
