@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from server_client import Client, running_server
+from server_client import MOUNTED, MOUNTING, Client, running_server
 
 
 @pytest.fixture(scope="session")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple]:
     """Return a client and the processes of a server with the test double."""
     folder = tmp_path_factory.mktemp("grasp_server")
-    parameters = {"cloud_timeout": 0.7, "model": "quick", "device": "cpu"}
+    parameters = {"cloud_timeout": 0.7, "model": "quick", "device": "cpu", MOUNTED: MOUNTING}
     with running_server(1, folder, **parameters) as (client, processes):
         yield client, processes
 

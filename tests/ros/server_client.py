@@ -31,6 +31,11 @@ START = 240.0
 """A node imports torch before anything else, which takes half a minute on a busy machine."""
 
 
+MOUNTED = "flange_from_gripper__robotiq_2f85"
+MOUNTING = [0.0, 0.0, 0.012, 0.0, 0.0, 0.38268343, 0.92387953]
+"""Where the server is told that the gripper is on the flange: as docs/frames.md has it."""
+
+
 def domain(offset: int) -> int:
     """Return a ROS domain of this test session, apart from that of others on the machine."""
     return 20 + (os.getpid() * 7 + offset) % 180

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+from cell_processes import until
+from geometry_msgs.msg import PoseArray
 from megrasp_msgs.msg import ErrorCode
 from server_client import (
+    MOUNTING,
     POINTS,
     Client,
+    Latest,
     cloud_of,
     still_serves,
 )
 
-from megrasp_ros.conversions import matrix_from_pose
+from megrasp_ros.conversions import matrix_from_numbers, matrix_from_pose
 
 DOWN_CAMERA = [0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]  # 1 m up, half a turn about x: looks down
 
@@ -53,3 +59,31 @@ def test_a_missing_transform_is_error_103(server: Client) -> None:
     assert "extrinsics" in answer.error_msg
     assert not server.parameters(planning_frame="")
     assert still_serves(server)
+
+
+def test_flange_poses_carry_the_gripper_to_the_grasp(server: Client) -> None:
+    """Published with `pose_reference: flange`, and the same from the page's code."""
+    assert not server.parameters(pose_reference="flange")
+    answer = server.synthesize(num_grasps=2, cloud=cloud_of(server))
+    flange_from_gripper = matrix_from_numbers(MOUNTING, "mounting")
+    for name, which in (("pregrasps", "pregrasp"), ("approach_poses", "approach")):
+        topic = Latest(server, PoseArray, name)
+        assert until(lambda topic=topic: bool(topic.messages))
+        for pose, grasp in zip(topic.last.poses, answer.grasps.grasps, strict=True):
+            world_from_gripper = matrix_from_pose(getattr(grasp, which), which)
+            world_from_flange = matrix_from_pose(pose, "flange")
+            assert np.linalg.norm(world_from_flange[:3, 3] - world_from_gripper[:3, 3]) > 0.011
+            np.testing.assert_allclose(
+                world_from_flange @ flange_from_gripper, world_from_gripper, atol=1e-7
+            )
+    page = (Path(__file__).parents[2] / "docs" / "frames.md").read_text()
+    blocks = [part.partition("```")[0] for part in page.split("```python\n")[1:]]
+    names = {"answer": answer}
+    exec(next(block for block in blocks if "megrasp_ros" in block), names)
+    goal = names["goal"]
+    assert names["mounting"] == MOUNTING and goal.header == answer.grasps.header
+    np.testing.assert_allclose(
+        matrix_from_pose(goal.pose, "goal") @ flange_from_gripper,
+        matrix_from_pose(answer.grasps.grasps[0].pregrasp, "pregrasp"),
+        atol=1e-7,
+    )

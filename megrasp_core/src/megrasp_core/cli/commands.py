@@ -10,6 +10,7 @@ from .demo import demo
 from .evaluation import bench, evaluation, samples
 from .family import sample
 from .fidelity import fidelity
+from .frames import frames
 from .gripper import check, listed, render, show
 from .objects import generate
 from .postures import postures
@@ -34,6 +35,7 @@ def app() -> SubcommandApp:
         new=new,
         sample=sample,
         fidelity=fidelity,
+        frames=frames,
         postures=postures,
         score_wizard=score_wizard,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
     from ..pointcloud import OrientedBox
 
-__all__ = ["Flag", "Names", "emit", "progress_bar", "read_region", "say"]
+__all__ = ["Flag", "Names", "block_writer", "emit", "progress_bar", "read_region", "say"]
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 """A switch without a --no- twin."""
@@ -39,6 +40,25 @@ def emit(content: Any, out: Path | None) -> None:
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(text)
     say(f"wrote {out}")
+
+
+def block_writer(page: Path, mark: str) -> Callable[[str], object]:
+    """Return what replaces the text between the lines <!-- mark --> and <!-- /mark --> of a
+    markdown page.
+
+    Raises:
+        InvalidRequestError: the page does not have both; told now, before any work is done.
+    """
+    start, end = f"<!-- {mark} -->", f"<!-- /{mark} -->"
+    text = page.read_text() if page.is_file() else ""
+    before, found, rest = text.partition(start)
+    _, ended, after = rest.partition(end)
+    if not (found and ended):
+        raise InvalidRequestError(
+            f"page {page} has no lines {start} and {end}; expected a page that has both, "
+            "add them where the text shall stand."
+        )
+    return lambda block: page.write_text(f"{before}{start}\n{block}{end}{after}")
 
 
 def progress_bar(total: int | None, what: str) -> tqdm:

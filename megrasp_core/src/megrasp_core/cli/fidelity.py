@@ -7,13 +7,9 @@ from pathlib import Path
 
 import tyro
 
-from ..errors import InvalidRequestError
-from .common import Names, emit, progress_bar, say
+from .common import Names, block_writer, emit, progress_bar, say
 
 __all__ = ["fidelity"]
-
-MARKS = ("<!-- fidelity -->", "<!-- /fidelity -->")
-"""Lines of a markdown page between which the fidelity table stands."""
 
 
 def fidelity(
@@ -40,7 +36,7 @@ def fidelity(
     kept = {}
     if names and out.is_file():
         kept = {entry["gripper"]: entry for entry in json.loads(out.read_text())}
-    parts = None if page is None else _around(page)
+    write = None if page is None else block_writer(page, "fidelity")
     count = len(names) or len(cad_twins())
     with progress_bar(count, "compare") as bar:
         for result in fidelity_of_twins(names):
@@ -50,20 +46,7 @@ def fidelity(
     table = markdown_table(results)
     emit(results, out)
     say(table)
-    if page is not None and parts is not None:
-        page.write_text(f"{parts[0]}{MARKS[0]}\n{table}{MARKS[1]}{parts[1]}")
+    if write is not None:
+        write(table)
         say(f"wrote {page}")
     return 0 if all(result["passed"] for result in results) else 1
-
-
-def _around(page: Path) -> tuple[str, str]:
-    """Text before and after the marked lines of a page."""
-    text = page.read_text() if page.is_file() else ""
-    before, found, rest = text.partition(MARKS[0])
-    _, ended, after = rest.partition(MARKS[1])
-    if not (found and ended):
-        raise InvalidRequestError(
-            f"page {page} has no lines {MARKS[0]} and {MARKS[1]}; expected a page that has both, "
-            "add them where the table shall stand."
-        )
-    return before, after
