@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import os
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 ROS_FOLDERS = {"ros"}
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep what the tests render in a folder of their own, not in the user's cache."""
+    folder = tempfile.TemporaryDirectory(prefix="megrasp_cache_", ignore_cleanup_errors=True)
+    os.environ["MEGRASP_CACHE"] = folder.name
+    config.add_cleanup(folder.cleanup)
 
 
 def _ros_missing() -> str:
@@ -39,3 +48,24 @@ def assets() -> Path:
     if not folder or not Path(folder).is_dir():
         pytest.skip("MEGRASP_ASSETS is not set to a folder")
     return Path(folder)
+
+
+@pytest.fixture
+def no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Render anew even what was rendered before."""
+    monkeypatch.setenv("MEGRASP_CACHE", "off")
+
+
+@pytest.fixture(scope="session")
+def ray_cluster() -> Iterator[None]:
+    """Start Ray on this machine, or skip; its workers find the helper modules of the tests."""
+    ray = pytest.importorskip("ray", reason="ray is missing: pip install 'megrasp-core[ray]'")
+    helpers = Path(__file__).parent / "core" / "datasets"
+    ray.init(
+        num_cpus=2,
+        include_dashboard=False,
+        log_to_driver=False,
+        runtime_env={"env_vars": {"PYTHONPATH": str(helpers)}},
+    )
+    yield
+    ray.shutdown()

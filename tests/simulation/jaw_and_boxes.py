@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import trimesh
@@ -16,6 +18,7 @@ class Jaw:
     """
 
     name = "jaw"
+    description = SimpleNamespace(kind="parallel")
     tcp = np.array([0.0, 0.0, 0.10])
     tip = 0.11
 

@@ -47,7 +47,7 @@ from megrasp_core.simulation import (
 )
 
 OBJECTS = ObjectSet(procedural_names(5))
-LABELS = LabelSettings(count=60, trials=8, target=6)
+LABELS = LabelSettings(count=60, trials=24, target=12)
 CONFIG = SceneConfig(
     ("robotiq_2f85",),
     objects=(3, 4),
@@ -75,8 +75,8 @@ def packed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     again = generate_library(folder / "work", config)
     assert again.done == 0, "a finished library is not made again"
     assert before == {path: path.read_bytes() for path in (folder / "work").rglob("*.npz")}
-    pack_library(load_library(folder / "work"), folder / "library.npz")
-    return folder / "library.npz"
+    pack_library(load_library(folder / "work"), folder / "library")
+    return folder / "library"
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def library(packed: Path) -> GraspLibrary:
 
 @pytest.fixture(scope="module")
 def scene(library: GraspLibrary) -> SceneRecord:
-    return build_scene(3, CONFIG, library, OBJECTS)
+    return build_scene(5, CONFIG, library, OBJECTS)
 
 
 def frozen(value: object) -> object:
@@ -132,24 +132,32 @@ def test_free_space_labels_hold_when_tried_again(library, gripper):
 
 def test_labelling_stops_at_its_target_and_repeats_with_its_seed(gripper):
     model = OBJECTS[OBJECTS.names[1]]
-    settings = replace(LABELS, target=2)
-    first = label_object(gripper, model, 60, 1, settings=settings)
-    second = label_object(gripper, model, 60, 1, settings=settings)
-    other = label_object(gripper, model, 60, 2, settings=settings)
-    assert first.success.sum() == 2 and first.tried <= 8 and first.drawn >= first.tried
+    settings = replace(LABELS, target=2, fresh=1.0, failures=0.0)
+    first = label_object(gripper, model, 1, settings=settings)
+    second = label_object(gripper, model, 1, settings=settings)
+    other = label_object(gripper, model, 2, settings=settings)
+    assert first.success.sum() == 2 and first.tried <= LABELS.trials and first.drawn >= first.tried
     assert frozen(first) == frozen(second)
     assert frozen(first.object_from_tcp) != frozen(other.object_from_tcp)
 
 
 def test_a_hopeless_object_is_given_up(gripper):
     # No start position of the fingers fits around it, so all candidates collide or miss.
-    entry = label_object(gripper, OBJECTS["obstacle/000001"], 30, 0, settings=LABELS)
-    assert entry.drawn <= 30 and entry.success.sum() == 0
+    entry = label_object(gripper, OBJECTS["obstacle/000001"], 0, settings=LABELS)
+    assert entry.drawn <= LABELS.count and entry.success.sum() == 0
+
+
+def test_successes_are_moved_until_there_are_failures(gripper):
+    settings = LabelSettings(trials=80, target=8)
+    entry = label_object(gripper, OBJECTS[OBJECTS.names[1]], 1, settings=settings)
+    assert entry.success.sum() >= 8 and (~entry.success).sum() == 8
+    assert (entry.quality[entry.success] > 0).all() and (entry.quality <= 1).all()
+    assert not entry.quality[~entry.success].any()
 
 
 def test_the_same_seed_gives_the_same_scene_bit_for_bit(scene, library):
-    assert frozen(scene) == frozen(build_scene(3, CONFIG, library, OBJECTS))
-    assert frozen(scene.points) != frozen(build_scene(4, CONFIG, library, OBJECTS).points)
+    assert frozen(scene) == frozen(build_scene(5, CONFIG, library, OBJECTS))
+    assert frozen(scene.points) != frozen(build_scene(6, CONFIG, library, OBJECTS).points)
 
 
 def test_a_record_is_sound_and_looks_like_its_scene(scene):
@@ -240,24 +248,43 @@ def test_a_recipe_renders_the_same_cloud(scene, tmp_path):
 
 def test_runs_resume_and_processes_give_the_same_scenes(packed, scene, tmp_path):
     job = SceneJob(CONFIG, packed, OBJECTS)
-    summary = generate_scenes(tmp_path / "one", job, [3])
+    summary = generate_scenes(tmp_path / "one", job, [5])
     assert summary.done == 1
     first = SceneDataset(tmp_path / "one")[0]
     assert frozen(first.points) == frozen(scene.points)
-    file = tmp_path / "one" / "scenes" / "scene_0000000003.npz"
+    file = tmp_path / "one" / "scenes" / "scene_0000000005.npz"
     stamp = file.stat().st_mtime_ns
     summary = generate_scenes(
-        tmp_path / "one", job, [3, 4], ExecutorConfig(workers=2), shard_size=2
+        tmp_path / "one", job, [5, 6], ExecutorConfig(workers=2), shard_size=2
     )
     assert summary.done == 1 and not summary.failed
     assert not file.exists(), "two scenes make a shard here"
-    assert stamp and [r.seed for r in SceneDataset(tmp_path / "one")] == [3, 4]
-    generate_scenes(tmp_path / "two", job, [4])
+    assert stamp and [r.seed for r in SceneDataset(tmp_path / "one")] == [5, 6]
+    generate_scenes(tmp_path / "two", job, [6])
     assert frozen(SceneDataset(tmp_path / "two")[0]) == frozen(SceneDataset(tmp_path / "one")[1])
     assert verify_dataset(tmp_path / "one") == []
     manifest = SceneDataset(tmp_path / "one").manifests[0]
     assert manifest["objects"] == list(OBJECTS.names)
     assert manifest["counts"] == {"scenes": 2} and manifest["versions"]["mujoco"]
+
+
+def test_ray_makes_the_same_library_and_scenes_bit_for_bit(packed, ray_cluster, tmp_path):
+    where = ExecutorConfig("ray", workers=2)
+    config = LibraryConfig(("robotiq_2f85",), OBJECTS, settings=LABELS)
+    summary = generate_library(tmp_path / "work", config, where)
+    assert summary.done == 5 and not summary.failed
+    pack_library(load_library(tmp_path / "work"), tmp_path / "library")
+    files = [folder / "robotiq_2f85.npz" for folder in (packed, tmp_path / "library")]
+    assert files[0].read_bytes() == files[1].read_bytes()
+    job = SceneJob(CONFIG, packed, OBJECTS)
+    for name, executor in (("ray", where), ("local", None)):
+        summary = generate_scenes(tmp_path / name, job, [5, 6], executor)
+        assert summary.done == 2 and not summary.failed
+    for seed in (5, 6):
+        files = [
+            tmp_path / name / "scenes" / f"scene_{seed:010d}.npz" for name in ("ray", "local")
+        ]
+        assert files[0].read_bytes() == files[1].read_bytes()
 
 
 def test_bad_jobs_are_refused(packed, tmp_path):

@@ -75,6 +75,23 @@ def test_ctrl_c_keeps_what_is_done(workers):
     assert len(kept) == 2 and summary.done == 1
 
 
+def test_ray_does_the_same_as_the_local_pool(ray_cluster):
+    found = [run(ExecutorConfig(kind, workers=2), square, range(6)) for kind in ("local", "ray")]
+    assert found[0][0] == found[1][0]
+    assert found[0][2].failed == found[1][2].failed
+    assert found[1][2].done == 5
+
+
+def test_ray_repeats_a_unit_whose_process_died(ray_cluster, tmp_path):
+    once = functools.partial(die_once, folder=str(tmp_path))
+    results, _, summary = run(ExecutorConfig("ray", workers=2), once, range(6))
+    assert (tmp_path / "died").exists()
+    assert results == {n: n for n in range(6)} and not summary.failed
+    results, _, summary = run(ExecutorConfig("ray", workers=2, attempts=2), die_on_three, range(5))
+    assert results == {0: 0, 1: 1, 2: 2, 4: 4}
+    assert "died 2 times" in dict(summary.failed)[3]
+
+
 def test_wrong_requests_say_what_is_expected(monkeypatch):
     with pytest.raises(InvalidRequestError, match=r"workers is 0; expected 1 or more"):
         run(ExecutorConfig(workers=0), square, [1])
@@ -83,5 +100,5 @@ def test_wrong_requests_say_what_is_expected(monkeypatch):
     ):
         run(ExecutorConfig(kind="slurm"), square, [1])  # type: ignore[arg-type]
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(DataError, match=r"pip install ray.*--executor local"):
+    with pytest.raises(DataError, match=r"pip install megrasp-core\[ray\].*--executor local"):
         run(ExecutorConfig(kind="ray"), square, [1])

@@ -29,7 +29,8 @@ def grasp_set(gripper: str, name: str, count: int, seed: int) -> GraspSet:
     pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
     success = rng.random(count) < 0.6
     reason = np.where(success, "", rng.choice(["slipped", "no_contact"], count))
-    return GraspSet(gripper, "hash", name, pose, success, reason, 3 * count, count)
+    quality = np.where(success, rng.random(count), 0.0).astype(np.float32)
+    return GraspSet(gripper, "hash", name, pose, success, quality, reason, 3 * count, count)
 
 
 def assert_close(first: GraspSet, second: GraspSet) -> None:
@@ -37,6 +38,7 @@ def assert_close(first: GraspSet, second: GraspSet) -> None:
         assert getattr(first, name) == getattr(second, name)
     np.testing.assert_array_equal(first.success, second.success)
     np.testing.assert_array_equal(first.reason, second.reason)
+    np.testing.assert_allclose(first.quality, second.quality, atol=0.51 / 255)
     np.testing.assert_allclose(
         first.object_from_tcp[:, :3], second.object_from_tcp[:, :3], atol=0.6e-5
     )
@@ -44,7 +46,7 @@ def assert_close(first: GraspSet, second: GraspSet) -> None:
     assert (2 * np.arccos(np.minimum(cosine, 1)) < np.deg2rad(0.01)).all()
 
 
-def test_a_library_comes_back_from_its_folder_and_from_one_packed_file(tmp_path):
+def test_a_library_comes_back_from_its_folder_and_packed(tmp_path):
     sets = [
         grasp_set("jaw", "asset/train/ycb/cup", 30, 0),
         grasp_set("jaw", "procedural/000001", 0, 1),
@@ -52,9 +54,11 @@ def test_a_library_comes_back_from_its_folder_and_from_one_packed_file(tmp_path)
     ]
     for entry in sets:
         write_grasp_set(tmp_path / "work", entry)
-    size = pack_library(load_library(tmp_path / "work"), tmp_path / "packed.npz")
-    assert size == (tmp_path / "packed.npz").stat().st_size
-    for source in (tmp_path / "work", tmp_path / "packed.npz"):
+    size = pack_library(load_library(tmp_path / "work"), tmp_path / "packed")
+    files = sorted((tmp_path / "packed").iterdir())
+    assert [file.name for file in files] == ["claw.npz", "jaw.npz"]
+    assert size == sum(file.stat().st_size for file in files)
+    for source in (tmp_path / "work", tmp_path / "packed"):
         library = load_library(source)
         assert len(library) == 3
         for entry in sets:
@@ -69,10 +73,10 @@ def test_a_library_comes_back_from_its_folder_and_from_one_packed_file(tmp_path)
 def test_the_size_limit_is_kept(tmp_path):
     library = GraspLibrary([grasp_set("jaw", "a", 500, 0)])
     with pytest.raises(DataError, match="expected at most 1000"):
-        pack_library(library, tmp_path / "packed.npz", limit=1000)
-    assert not (tmp_path / "packed.npz").exists()
-    # 14 bytes a pose before compression: what is committed stays small.
-    assert pack_library(library, tmp_path / "packed.npz") < 500 * 16 + 2000
+        pack_library(library, tmp_path / "packed", limit=1000)
+    assert not (tmp_path / "packed").exists()
+    # 17 bytes a grasp before compression: what is committed stays small.
+    assert pack_library(library, tmp_path / "packed") < 500 * 17 + 2000
 
 
 def test_thinning_keeps_successes_and_some_failures():
@@ -107,8 +111,8 @@ def test_far_grasps_are_refused_not_wrapped(tmp_path):
     entry = grasp_set("jaw", "a", 3, 0)
     entry.object_from_tcp[1, 0] = 0.5
     with pytest.raises(DataError, match=r"0\.32 m"):
-        pack_library(GraspLibrary([entry]), tmp_path / "packed.npz")
-    assert not (tmp_path / "packed.npz").exists()
+        pack_library(GraspLibrary([entry]), tmp_path / "packed")
+    assert not (tmp_path / "packed").exists()
 
 
 def test_recipes_keep_object_poses_exactly_and_grasps_within_rounding(tmp_path):

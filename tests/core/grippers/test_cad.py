@@ -1,5 +1,5 @@
 """CAD descriptions: found where MEGRASP_ASSETS is set; the loader deals with what is wrong in the
-files.
+files. What each of them has to do: tests/simulation/test_registered.py.
 """
 
 from __future__ import annotations
@@ -20,9 +20,7 @@ from megrasp_core.grippers import (
     gripper_folders,
     list_grippers,
     load_gripper,
-    save_description,
 )
-from megrasp_core.grippers.compare import surface_distance
 
 JAWS = {
     "franka_hand_cad",
@@ -106,25 +104,3 @@ def test_cad_folder_of_a_search_path(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     monkeypatch.setenv("MEGRASP_ASSETS", str(tmp_path))
     folder = gripper_folders([tmp_path])["franka_hand_cad"]
     assert folder == tmp_path / "cad" / "franka_hand_cad"
-
-
-@pytest.fixture(scope="module", params=sorted(cad_folders()))
-def cad(request: pytest.FixtureRequest, assets: Path) -> Gripper:
-    """Every CAD description in turn."""
-    return load_gripper(request.param)
-
-
-def test_loads_renders_and_closes(cad: Gripper) -> None:
-    """No error in the full check, which closes it in simulation; both postures render."""
-    result = check_gripper(cad.description.folder)
-    assert result.ok, result.errors
-    assert result.measures["closing_error_2ms"] < 0.05
-    clouds = cad.clouds(256)
-    assert surface_distance(clouds.open_points, cad.meshes("open")).max() < 1e-4
-    assert surface_distance(clouds.closed_points, cad.meshes("open")).max() > 0.01
-
-
-def test_round_trips(cad: Gripper, tmp_path: Path) -> None:
-    """Saved and loaded again it is the same gripper."""
-    save_description(cad.description, tmp_path)
-    assert Gripper.from_path(tmp_path).hash == cad.hash

@@ -95,6 +95,14 @@ def test_package_paths(tmp_path, monkeypatch):
     assert "is not where the model says" in make(model, tmp_path / "d").notes[0]
 
 
+def test_link_of_the_loader_s_name_is_renamed(tmp_path):
+    """A link `gripper` would clash with the frame the loader adds."""
+    model = tmp_path / "a.xml"
+    model.write_text(mjcf(jaws()).replace('"palm"', '"gripper"'))
+    notes = make(model, tmp_path / "out").notes
+    assert any("renamed to 'gripper_base'" in note for note in notes)
+
+
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [

@@ -27,7 +27,7 @@ def grasps(
     gripper: Grippers = TRAINED,
     procedural: int = 60,
     assets: bool = True,
-    count: int | None = None,
+    target: int | None = None,
     executor: Executor = "local",
     address: str | None = None,
     workers: int = 1,
@@ -42,7 +42,8 @@ def grasps(
         gripper: names or folders.
         procedural: number of procedural objects.
         assets: take the train scans under MEGRASP_ASSETS as well, where it is set.
-        count: trials per object and gripper; the generator's default without it.
+        target: successes, and as many failures, of an object and gripper; the generator's default
+            without it.
         executor: local processes or a Ray cluster.
         address: of the Ray cluster.
         workers: processes or tasks in flight.
@@ -50,7 +51,7 @@ def grasps(
     """
     from ..datasets import LabelSettings, LibraryConfig, generate_library
 
-    settings = LabelSettings() if count is None else LabelSettings(count=count)
+    settings = LabelSettings() if target is None else LabelSettings(target=target)
     config = LibraryConfig(tuple(gripper), _objects(procedural, assets), seed, settings)
     where = _executor(executor, address, workers)
     with _bar("grasps") as tell:
@@ -109,7 +110,8 @@ def pack(out: Path, into: Path | None = None) -> int:
 
     Args:
         out: folder of `data grasps` or `data scenes`.
-        into: file; by default grasp_library.npz or scene_recipes.npz beside the folder.
+        into: folder of a library, or file of recipes; by default grasp_library or
+            scene_recipes.npz beside the folder.
     """
     from ..datasets import SceneDataset, load_library, pack_library, write_recipes
 
@@ -120,7 +122,7 @@ def pack(out: Path, into: Path | None = None) -> int:
         say(f"wrote the recipes of {len(dataset)} scenes to {target}, {size / 1e6:.1f} MB")
         return 0
     library = load_library(out)
-    target = into or out.parent / "grasp_library.npz"
+    target = into or out.parent / "grasp_library"
     size = pack_library(library, target)
     say(f"wrote {len(library)} pairs of object and gripper to {target}, {size / 1e6:.1f} MB")
     return 0

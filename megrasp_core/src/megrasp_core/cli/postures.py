@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import tyro
 
-from .common import emit, progress_bar, say
+from .common import block_writer, emit, progress_bar, say
 
-__all__ = ["postures"]
+__all__ = ["posture_table", "postures"]
 
 
 def postures(
     name: tyro.conf.Positional[str],
     out: Path,
+    page: Path | None = None,
     variants: int = 81,
     rounds: int = 3,
     objects: int = 4,
@@ -36,11 +39,13 @@ def postures(
     them, also into the description of the CAD model where there is one. Exit code 1 where nothing
     better was found.
 
-    Try: megrasp gripper postures allegro_hand --out allegro_postures.json --workers 2
+    Try: megrasp gripper postures allegro_hand --out postures/allegro_hand.json --workers 2
 
     Args:
         name: registered name, or folder of a gripper.yaml.
         out: JSON.
+        page: markdown page whose lines between <!-- postures --> and <!-- /postures --> become a
+            table of all results in the folder of `out`.
         variants: postures tried in the first rung of a round; one in three goes on to three times
             the objects.
         rounds: rounds, each closer around the best so far.
@@ -58,6 +63,7 @@ def postures(
     from ..datasets import ExecutorConfig
     from ..evaluation.posture_search import PostureSearch, PostureSearchSettings
 
+    write = None if page is None else block_writer(page, "postures")
     settings = PostureSearchSettings(
         variants=variants, rounds=rounds, objects=objects, candidates=candidates, scale=scale,
         held_out=held_out, seed=seed,
@@ -74,6 +80,8 @@ def postures(
         memory = out.with_suffix(".trials.jsonl")
         result = PostureSearch(name, settings, memory, where, tell).run()
     emit(result, out)
+    if write is not None:
+        write(posture_table(sorted(out.parent.glob("*.json"))))
     for entry in ("listed", "found"):
         say(f"{entry:<7s} {_line(result[entry]['held_out'])}")
     say(f"{result['trials']} grasps; this run took {time.monotonic() - start:.0f} s")
@@ -84,6 +92,28 @@ def postures(
     block = {"postures": result["found"]["postures"]}
     say(yaml.safe_dump(block, sort_keys=False, default_flow_style=None, width=99))
     return 0
+
+
+def posture_table(results: Sequence[Path]) -> str:
+    """Markdown table of what listed and found postures held of the unseen objects."""
+    lines = [
+        "| hand | grasps held, listed | found | objects held, listed | found | start collisions, "
+        "listed | found |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for file in results:
+        result = json.loads(file.read_text())
+        both = [result[entry]["held_out"] for entry in ("listed", "found")]
+        cells = [_share(entry[what]) for what in ("grasps", "objects") for entry in both]
+        cells += [str(entry["start_collisions"]) for entry in both]
+        lines.append(f"| {' | '.join([result['gripper'], *cells])} |")
+    return "\n".join(lines) + "\n"
+
+
+def _share(entry: dict[str, Any]) -> str:
+    low, high = entry["ci95"] or (0.0, 1.0)
+    share = f"{100 * entry['rate']:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
+    return f"{share} ({entry['successes']}/{entry['trials']})"
 
 
 def _line(measured: dict[str, Any]) -> str:

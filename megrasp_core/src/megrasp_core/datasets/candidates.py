@@ -2,12 +2,14 @@
 strategy).
 
 Two surface points with opposing normals give the closing axis; the approach is drawn around it and
-the depth along it. Hands and three-finger grippers use the same pairs: their opposing finger
-groups close along the same axis.
+the depth along it. Jaws and three-finger grippers bring their TCP between the points. The fingers
+of a hand seldom meet at its TCP or along +X: the middle and the axis of its opposing finger groups
+at the width of the pair (finger_span.py) come to lie on the pair's.
 """
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,12 +17,14 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
+from megrasp_core.datasets.finger_span import FingerSpan
+
 if TYPE_CHECKING:
     from megrasp_core.grippers import Gripper
     from megrasp_core.objects import ObjectModel
 
 _HAND_WIDTH = 0.10
-"""Widest pair taken for a gripper that states no `max_width` (m)."""
+"""Widest pair taken for a hand (m), though its fingers may open further."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,9 @@ class CandidateSettings:
         depth: range of the TCP's position past the pair along the approach (m); positive is
             deeper.
         shift: largest offset of the TCP from the pair's middle along the closing axis (m).
+        hand_depth: as `depth` for hands, from where their fingers meet.
+        finger_span: whether hands are brought to the pair where their fingers meet, instead of
+            with TCP and +X as jaws are.
     """
 
     friction_cone: float = np.deg2rad(25.0)
@@ -43,6 +50,8 @@ class CandidateSettings:
     least_width: float = 0.002
     depth: tuple[float, float] = (-0.008, 0.022)
     shift: float = 0.004
+    hand_depth: tuple[float, float] = (-0.006, 0.020)
+    finger_span: bool = True
 
 
 @dataclass(frozen=True)
@@ -160,10 +169,18 @@ def opposing_pairs(
     return Pairs(origin, origin + directions[ray[chosen]] * distance[chosen, None])
 
 
+@functools.lru_cache(maxsize=16)
+def _span(gripper: Gripper) -> FingerSpan | None:
+    """Where the fingers of a hand meet; None for jaws, which close along +X at the TCP."""
+    return FingerSpan.of(gripper) if gripper.description.kind == "hand" else None
+
+
 def width_range(gripper: Gripper, settings: CandidateSettings) -> tuple[float, float]:
     """Distances between opposing points that the open gripper takes (m)."""
-    description = gripper.description
-    widest = _HAND_WIDTH if description.max_width is None else description.max_width
+    description, span = gripper.description, _span(gripper)
+    widest = description.max_width
+    if widest is None:
+        widest = _HAND_WIDTH if span is None else min(_HAND_WIDTH, span.widest)
     narrowest = 0.0 if description.min_width is None else description.min_width
     return narrowest + settings.least_width, widest - settings.width_margin
 
@@ -196,27 +213,29 @@ def antipodal(
     """
     settings = settings or CandidateSettings()
     surface = surface or ObjectSurface(model)
+    span = _span(gripper) if settings.finger_span else None
     widths = width_range(gripper, settings)
-    firsts: list[NDArray[np.float64]] = []
-    seconds: list[NDArray[np.float64]] = []
-    approaches: list[NDArray[np.float64]] = []
-    found = 0
+    found: list[Candidates] = []
     for _ in range(8):
         pairs = opposing_pairs(surface, max(3 * count, 64), widths, settings, rng)
         swap = rng.random(len(pairs.first)) < 0.5
         first = np.where(swap[:, None], pairs.second, pairs.first)
         second = np.where(swap[:, None], pairs.first, pairs.second)
         approach, keep = _approaches(second - first, approach_towards, rng)
-        firsts.append(first[keep])
-        seconds.append(second[keep])
-        approaches.append(approach[keep])
-        found += int(keep.sum())
-        if found >= count:
+        grasps = _poses(
+            first[keep], second[keep], approach[keep], gripper, span, widths[1], settings, rng
+        )
+        if approach_towards is not None:
+            direction, limit = approach_towards
+            steep = grasps.object_from_gripper[:, :3, 2] @ direction >= np.cos(limit)
+            grasps = Candidates(grasps.object_from_gripper[steep], grasps.width[steep])
+        found.append(grasps)
+        if sum(map(len, found)) >= count:
             break
-    first = np.concatenate(firsts)[:count]
-    second = np.concatenate(seconds)[:count]
-    approach = np.concatenate(approaches)[:count]
-    return _poses(first, second, approach, gripper, widths[1], settings, rng)
+    return Candidates(
+        np.concatenate([part.object_from_gripper for part in found])[:count],
+        np.concatenate([part.width for part in found])[:count],
+    )
 
 
 def _approaches(
@@ -249,6 +268,7 @@ def _poses(
     second: NDArray[np.float64],
     approach: NDArray[np.float64],
     gripper: Gripper,
+    span: FingerSpan | None,
     widest: float,
     settings: CandidateSettings,
     rng: np.random.Generator,
@@ -257,15 +277,26 @@ def _poses(
     closing = second - first
     width = np.linalg.norm(closing, axis=1)
     axis = closing / np.maximum(width, 1e-12)[:, None]
-    depth = rng.uniform(*settings.depth, size=count)
+    depth = rng.uniform(*(settings.depth if span is None else settings.hand_depth), size=count)
     slack = np.minimum(settings.shift, 0.4 * np.maximum(widest - width, 0.0))
     shift = rng.uniform(-1.0, 1.0, size=count) * slack
-    object_from_tcp = np.tile(np.eye(4), (count, 1, 1))
-    object_from_tcp[:, :3, 0] = axis
-    object_from_tcp[:, :3, 1] = np.cross(approach, axis)
-    object_from_tcp[:, :3, 2] = approach
-    object_from_tcp[:, :3, 3] = (
+    object_from_pinch = np.tile(np.eye(4), (count, 1, 1))
+    object_from_pinch[:, :3, :3] = _frames(axis, approach)
+    object_from_pinch[:, :3, 3] = (
         0.5 * (first + second) + depth[:, None] * approach + shift[:, None] * axis
     )
-    tcp_from_gripper = np.linalg.inv(gripper.gripper_from_tcp)
-    return Candidates(object_from_tcp @ tcp_from_gripper, width)
+    gripper_from_pinch = np.tile(gripper.gripper_from_tcp, (count, 1, 1))
+    if span is not None:
+        middle, across = span.at(width)
+        forward = np.array([0.0, 0.0, 1.0]) - across[:, 2:] * across
+        forward /= np.linalg.norm(forward, axis=1, keepdims=True)
+        gripper_from_pinch[:, :3, :3] = _frames(across, forward)
+        gripper_from_pinch[:, :3, 3] = middle
+    return Candidates(object_from_pinch @ np.linalg.inv(gripper_from_pinch), width)
+
+
+def _frames(x: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotations (n, 3, 3) with columns x (n, 3), z cross x, z (n, 3), which are square to each
+    other.
+    """
+    return np.stack([x, np.cross(z, x), z], axis=2)

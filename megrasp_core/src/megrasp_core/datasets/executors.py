@@ -219,6 +219,11 @@ def _shut_down(pool: ProcessPoolExecutor, *, wait_for_units: bool) -> None:
             process.terminate()
 
 
+def _call(function: Callable[[U], R], unit: U) -> R:
+    """What Ray runs: it takes plain functions only, and jobs are partial ones."""
+    return function(unit)
+
+
 def _ray(
     function: Callable[[U], R], units: Sequence[U], config: ExecutorConfig
 ) -> Generator[_Outcome, None, None]:
@@ -228,7 +233,7 @@ def _ray(
         raise DataError(
             "the executor 'ray' was given, but the package ray is not installed; expected an "
             "installed ray. "
-            "Run `pip install ray`, or use --executor local."
+            "Run `pip install megrasp-core[ray]`, or use --executor local."
         ) from error
     owned = not ray.is_initialized()
     if owned:
@@ -239,21 +244,25 @@ def _ray(
     try:
         environment = {"env_vars": dict.fromkeys(_THREAD_VARIABLES, "1")}
         remote = ray.remote(num_cpus=1, max_retries=config.attempts - 1, runtime_env=environment)(
-            function
+            _call
         )
+        shared = ray.put(function)
         queue = list(reversed(units))
         flight: dict[Any, U] = {}
         while queue or flight:
             while queue and len(flight) < config.workers:
                 unit = queue.pop()
-                flight[remote.remote(unit)] = unit
+                flight[remote.remote(shared, unit)] = unit
             finished, _ = ray.wait(list(flight), num_returns=1)
             for reference in finished:
                 unit = flight.pop(reference)
                 try:
                     result = ray.get(reference)
+                except ray.exceptions.WorkerCrashedError:
+                    yield unit, None, f"its process died {config.attempts} times"
                 except Exception as error:
-                    yield unit, None, _describe(error)
+                    # Ray wraps what the unit raised.
+                    yield unit, None, _describe(getattr(error, "cause", None) or error)
                 else:
                     yield unit, result, None
     finally:

@@ -22,11 +22,16 @@ def write_bytes(path: Path, data: bytes) -> None:
     temporary.replace(path)
 
 
-def write_npz(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Writes a compressed .npz as a whole; equal arrays give equal bytes."""
+def packed_npz(arrays: dict[str, np.ndarray]) -> bytes:
+    """A compressed .npz; equal arrays give equal bytes."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **arrays)
-    write_bytes(path, buffer.getvalue())
+    return buffer.getvalue()
+
+
+def write_npz(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Writes a compressed .npz as a whole."""
+    write_bytes(path, packed_npz(arrays))
 
 
 def open_npz(path: Path) -> np.lib.npyio.NpzFile:

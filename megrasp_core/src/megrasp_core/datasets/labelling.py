@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from megrasp_core.datasets.candidates import CandidateSettings, ObjectSurface, antipodal
 from megrasp_core.datasets.executors import ExecutorConfig, Progress, RunSummary, run_units
@@ -20,94 +22,158 @@ from megrasp_core.datasets.records import GraspSet
 from megrasp_core.grippers import Gripper, load_gripper
 from megrasp_core.lie.pose import pose7_from_matrix
 from megrasp_core.objects import ObjectModel
-from megrasp_core.simulation import FreeSpaceRig
+from megrasp_core.simulation import FreeSpaceResult, FreeSpaceRig, Reason
 
-START_COLLISION = "start_collision"
+STEP = 1.15
+"""Factor by which moves grow or shrink."""
 
 
 @dataclass(frozen=True)
 class LabelSettings:
     """How much work a (gripper, object) pair gets.
 
+    First candidates are tried, until a share `fresh` of the successes is found; then successes
+    moved a little, where success ends, until there are enough successes and failures.
+
     Attributes:
         count: candidates drawn at most, start collisions included.
         trials: full trials at most.
         target: successes after which the pair is done.
-        failures: failed full trials kept for each success kept; at least four are kept where there
-            are any.
+        fresh: share of them that comes from candidates.
+        failures: failed full trials wanted, as a share of `target`; so many are kept, at least
+            four.
         hopeless: full trials without any success after which the pair is given up.
+        move: standard deviation of the first moves along each axis (m).
+        turn: of the first turns about each axis (rad).
         candidates: how candidates are drawn.
     """
 
-    count: int = 240
-    trials: int = 60
-    target: int = 40
-    failures: float = 0.5
-    hopeless: int = 24
+    count: int = 1200
+    trials: int = 300
+    target: int = 100
+    fresh: float = 0.6
+    failures: float = 1.0
+    hopeless: int = 40
+    move: float = 0.010
+    turn: float = np.deg2rad(15.0)
     candidates: CandidateSettings = field(default_factory=CandidateSettings)
 
 
 def label_object(
     gripper: Gripper,
     model: ObjectModel,
-    count: int,
     seed: int,
     *,
     settings: LabelSettings | None = None,
     object_name: str | None = None,
 ) -> GraspSet:
-    """Tries antipodal candidates on one free-floating object.
+    """Tries grasps of one free-floating object.
 
     Args:
         gripper: closes with its description's force limits.
         model: the object.
-        count: candidates drawn at most.
-        seed: with the names of gripper and object it fixes the candidates.
-        settings: when to stop and what to keep (`count` here is not used).
+        seed: with the names of gripper and object it fixes the grasps that are tried.
+        settings: when to stop and what to keep.
         object_name: name in the object set; default the model's own.
 
     Returns:
-        All successes and a share of the full trials that failed, as `object_from_tcp`.
+        The successes and as many of the full trials that failed as `settings` ask for, as
+        `object_from_tcp`, in the order in which they were tried.
     """
     settings = settings or LabelSettings()
     name = object_name or model.name
     rng = np.random.default_rng(
         [seed, zlib.crc32(gripper.name.encode()), zlib.crc32(name.encode())]
     )
+    trials = _Trials(FreeSpaceRig(gripper, model), settings)
     candidates = antipodal(
-        model, gripper, count, rng, settings=settings.candidates, surface=ObjectSurface(model)
-    )
-    rig = FreeSpaceRig(gripper, model)
-    kept: list[int] = []
-    success: list[bool] = []
-    reasons: list[str] = []
-    drawn = 0
-    for index, pose in enumerate(candidates.object_from_gripper):
-        drawn = index + 1
-        result = rig.trial(pose)
-        reason = str(getattr(result.reason, "value", result.reason))
-        if not result.success and reason == START_COLLISION:
-            continue
-        kept.append(index)
-        success.append(bool(result.success))
-        reasons.append("" if result.success else reason)
-        held = sum(success)
-        if held >= settings.target or len(kept) >= settings.trials:
+        model,
+        gripper,
+        settings.count,
+        rng,
+        settings=settings.candidates,
+        surface=ObjectSurface(model),
+    ).object_from_gripper
+    for pose in candidates:
+        if trials.is_over or trials.held >= max(1, round(settings.fresh * settings.target)):
             break
-        if held == 0 and len(kept) >= settings.hopeless:
-            break
-    poses = candidates.object_from_gripper[kept].reshape(-1, 4, 4) @ gripper.gripper_from_tcp
+        trials.attempt(pose)
+    tcp_from_gripper = np.linalg.inv(gripper.gripper_from_tcp)
+    scale = 1.0
+    while trials.held and not trials.is_over:
+        near = trials.held_poses[int(rng.integers(trials.held))]
+        moved = gripper.gripper_from_tcp @ _move(settings, scale, rng) @ tcp_from_gripper
+        result = trials.attempt(near @ moved)
+        # What always holds is moved further, until about one grasp in three does.
+        if result.reason is not Reason.START_COLLISION:
+            scale = np.clip(scale * (STEP**2 if result.success else 1.0 / STEP), 0.2, 5.0)
+    poses = np.array(trials.poses).reshape(-1, 4, 4) @ gripper.gripper_from_tcp
     entry = GraspSet(
         gripper=gripper.name,
         gripper_hash=gripper.hash,
         object_name=name,
         object_from_tcp=np.asarray(pose7_from_matrix(poses), np.float64).reshape(-1, 7),
-        success=np.array(success, bool),
-        reason=np.array(reasons, np.str_),
-        drawn=drawn,
-        tried=len(kept),
+        success=np.array([result.success for result in trials.results], bool),
+        quality=np.array([result.quality for result in trials.results], np.float32),
+        reason=np.array(
+            ["" if result.success else result.reason.value for result in trials.results], np.str_
+        ),
+        drawn=trials.drawn,
+        tried=len(trials.results),
     )
-    return thinned(entry, max(4, round(settings.failures * int(entry.success.sum()))))
+    return thinned(entry, max(4, round(settings.failures * settings.target)))
+
+
+class _Trials:
+    """What was tried of a pair.
+
+    Attributes:
+        poses: (4, 4) `object_from_gripper` of every full trial.
+        results: their outcomes.
+        drawn: grasps attempted, those that collide at the start too.
+    """
+
+    def __init__(self, rig: FreeSpaceRig, settings: LabelSettings) -> None:
+        self._rig, self._settings = rig, settings
+        self.poses: list[NDArray[np.float64]] = []
+        self.results: list[FreeSpaceResult] = []
+        self.held_poses: list[NDArray[np.float64]] = []
+        self.drawn = 0
+
+    @property
+    def held(self) -> int:
+        """Successes."""
+        return len(self.held_poses)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether there is enough of everything, or no use in going on."""
+        settings, tried = self._settings, len(self.results)
+        failures = round(settings.failures * settings.target)
+        enough = self.held >= settings.target and tried - self.held >= failures
+        hopeless = not self.held and tried >= settings.hopeless
+        return enough or hopeless or tried >= settings.trials or self.drawn >= 2 * settings.count
+
+    def attempt(self, pose: NDArray[np.float64]) -> FreeSpaceResult:
+        """Try a pre-grasp (4, 4) and keep it, unless it collides at the start."""
+        self.drawn += 1
+        result = self._rig.trial(pose)
+        if result.reason is Reason.START_COLLISION:
+            return result
+        self.poses.append(pose)
+        self.results.append(result)
+        if result.success:
+            self.held_poses.append(pose)
+        return result
+
+
+def _move(settings: LabelSettings, scale: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    """A random pose (4, 4) around the identity."""
+    out = np.eye(4)
+    out[:3, 3] = rng.normal(scale=scale * settings.move, size=3)
+    turn = rng.normal(scale=scale * settings.turn, size=3)
+    out[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
+    return out
 
 
 @dataclass(frozen=True)
@@ -138,7 +204,6 @@ def _label_pair(unit: tuple[str, str], config: LibraryConfig) -> GraspSet:
     return label_object(
         gripper,
         config.objects[unit[1]],
-        config.settings.count,
         config.seed,
         settings=config.settings,
         object_name=unit[1],

@@ -1,8 +1,8 @@
 """The grasp library: free-space labels for every (gripper, object), resumable, and packed into one
 small file.
 
-While running, one file a pair lies in `<folder>/<gripper>/`; `pack_library` gathers them with
-poses rounded to 0.01 mm and 0.003 degrees.
+While running, one file a pair lies in `<folder>/<gripper>/`; `pack_library` gathers them into one
+file a gripper, with poses rounded to 0.01 mm and 0.003 degrees and the quality to 1/255.
 """
 
 from __future__ import annotations
@@ -14,13 +14,20 @@ from pathlib import Path
 
 import numpy as np
 
-from megrasp_core.datasets.files import open_npz, text_array, text_of, write_npz
+from megrasp_core.datasets.files import (
+    open_npz,
+    packed_npz,
+    text_array,
+    text_of,
+    write_bytes,
+    write_npz,
+)
 from megrasp_core.datasets.records import GraspSet
 from megrasp_core.errors import DataError
 
 _METRE = 1e-5
 _QUATERNION = 32767.0
-_PACKED = "megrasp grasp library 1"
+_PACKED = "megrasp grasp library 2"
 
 
 class GraspLibrary:
@@ -73,20 +80,24 @@ def write_grasp_set(folder: Path, entry: GraspSet) -> Path:
     return path
 
 
-def pack_library(library: GraspLibrary, path: Path, *, limit: int = 15_000_000) -> int:
-    """Writes the whole library as one compressed file and returns its size in bytes.
+def pack_library(library: GraspLibrary, folder: Path, *, limit: int = 15_000_000) -> int:
+    """Writes `<folder>/<gripper>.npz` for every gripper and returns their size in bytes.
 
     Raises:
-        DataError: the file would be larger than `limit`.
+        DataError: the files would be larger than `limit` together; nothing is written.
     """
-    write_npz(path, _arrays(list(library)))
-    size = path.stat().st_size
+    packed = {
+        gripper: packed_npz(_arrays([entry for entry in library if entry.gripper == gripper]))
+        for gripper in library.grippers
+    }
+    size = sum(map(len, packed.values()))
     if size > limit:
-        path.unlink()
         raise DataError(
             f"the packed library has {size} bytes; expected at most {limit}. Pack fewer objects "
             "or lower the number of grasps kept a pair."
         )
+    for gripper, data in packed.items():
+        write_bytes(folder / f"{gripper}.npz", data)
     return size
 
 
@@ -129,6 +140,9 @@ def _arrays(sets: list[GraspSet]) -> dict[str, np.ndarray]:
         "position": np.rint(poses[:, :3] / _METRE).astype(np.int16),
         "quaternion": np.rint(poses[:, 3:] * _QUATERNION).astype(np.int16),
         "success": np.concatenate([e.success for e in sets] or [np.zeros(0, bool)]),
+        "quality": np.rint(
+            255.0 * np.concatenate([e.quality for e in sets] or [np.zeros(0)])
+        ).astype(np.uint8),
         "reason": np.array(
             [code[str(reason)] for entry in sets for reason in entry.reason], np.uint8
         ),
@@ -141,6 +155,7 @@ def _read(path: Path) -> Iterator[GraspSet]:
             meta = json.loads(text_of(file["meta"]))
             position, quaternion = file["position"], file["quaternion"]
             success, reason = file["success"], file["reason"]
+            quality = file["quality"].astype(np.float32) / 255.0
         except (KeyError, ValueError) as error:
             raise DataError(
                 f"{path} is no grasp library ({error}); expected a file of `megrasp data grasps` "
@@ -161,6 +176,7 @@ def _read(path: Path) -> Iterator[GraspSet]:
             object_name,
             poses[part],
             success[part],
+            quality[part],
             names[reason[part]],
             drawn,
             tried,
@@ -176,5 +192,6 @@ def thinned(entry: GraspSet, failures: int) -> GraspSet:
         entry,
         object_from_tcp=entry.object_from_tcp[keep],
         success=entry.success[keep],
+        quality=entry.quality[keep],
         reason=entry.reason[keep],
     )

@@ -38,8 +38,9 @@ class GraspSet:
         object_name: name of the object in its object set.
         object_from_tcp: (n, 7) float64 poses.
         success: (n,) bool, held through the shaking.
+        quality: (n,) float32 from 0, lost, to 1, did not move in the hand while shaken.
         reason: (n,) str, why a trial failed; "" for successes.
-        drawn: candidates drawn in all, start collisions included.
+        drawn: grasps drawn in all, start collisions included.
         tried: full trials among them.
     """
 
@@ -48,6 +49,7 @@ class GraspSet:
     object_name: str
     object_from_tcp: NDArray[np.float64]
     success: NDArray[np.bool_]
+    quality: NDArray[np.float32]
     reason: NDArray[np.str_]
     drawn: int
     tried: int

@@ -67,11 +67,13 @@ def graspable_objects(
         count=settings.candidates,
         trials=settings.trials,
         target=settings.successes,
+        fresh=1.0,
+        failures=0.0,
         hopeless=settings.trials,
     )
     found = []
     for index, model in enumerate(pool):
-        made = label_object(gripper, model, settings.candidates, settings.seed, settings=labels)
+        made = label_object(gripper, model, settings.seed, settings=labels)
         if int(made.success.sum()) >= settings.successes:
             found.append(index)
         if on_progress is not None:

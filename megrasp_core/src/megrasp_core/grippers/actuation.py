@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from megrasp_core.errors import DescriptionError
 from megrasp_core.grippers.description import Actuation, GripperDescription
+from megrasp_core.grippers.fields import choices
 
 
 def apply_actuation(spec: mujoco.MjSpec, description: GripperDescription) -> None:
@@ -23,6 +24,7 @@ def apply_actuation(spec: mujoco.MjSpec, description: GripperDescription) -> Non
     """
     joints = {joint.name: joint for joint in spec.joints}
     actuators = {actuator.name: actuator for actuator in spec.actuators if actuator.name}
+    taken = set(actuators)
     for name, drive in description.actuation.items():
         if name in joints:
             joint = joints[name]
@@ -38,19 +40,17 @@ def apply_actuation(spec: mujoco.MjSpec, description: GripperDescription) -> Non
                 else:
                     spec.delete(actuator)
             if not any(_drives_joint(item, name) for item in spec.actuators):
-                _add_drive(spec, joint, drive)
+                _add_drive(spec, joint, drive, taken)
         elif name in actuators:
             _restiffen(actuators[name], drive)
         else:
             raise DescriptionError(
                 f"{description.file}: 'actuation' names '{name}', which is no joint or actuator "
-                "of the model; valid "
-                f"joints: {', '.join(joints)}; valid actuators: {', '.join(actuators) or '(none)'}"
+                f"of the model; {choices('joints', name, joints)}; "
+                f"{choices('actuators', name, actuators)}"
             )
     for index, actuator in enumerate(spec.actuators):
-        actuator.name = actuator.name or _free_name(
-            actuator.target or f"actuator_{index}", set(actuators)
-        )
+        actuator.name = actuator.name or free_name(actuator.target or f"actuator_{index}", taken)
 
 
 def control_of(model: mujoco.MjModel, qpos: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -74,9 +74,11 @@ def _by_position(actuator: mujoco.MjsActuator) -> bool:
     return not actuator.plugin.active and actuator.biasprm[1] < 0.0
 
 
-def _add_drive(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, drive: Actuation) -> None:
+def _add_drive(
+    spec: mujoco.MjSpec, joint: mujoco.MjsJoint, drive: Actuation, taken: set[str]
+) -> None:
     actuator = spec.add_actuator(
-        name=joint.name,
+        name=free_name(joint.name, taken),
         target=joint.name,
         trntype=mujoco.mjtTrn.mjTRN_JOINT,
         gaintype=mujoco.mjtGain.mjGAIN_FIXED,
@@ -118,7 +120,8 @@ def _like(current: object, value: float) -> object:
     return value
 
 
-def _free_name(wanted: str, taken: set[str]) -> str:
+def free_name(wanted: str, taken: set[str]) -> str:
+    """Return `wanted`, or with the first number that is free behind it, and add it to `taken`."""
     name, count = wanted, 1
     while name in taken:
         count += 1

@@ -9,10 +9,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import open3d as o3d
+from numpy.typing import NDArray
 
 from megrasp_core.errors import DescriptionError
-from megrasp_core.grippers.compare import opening, pad_displacement
-from megrasp_core.grippers.gripper import Gripper
+from megrasp_core.grippers.compare import PAD_HALF_HEIGHT, opening, pad_displacement
+from megrasp_core.grippers.geometry import posed
+from megrasp_core.grippers.gripper import POSTURES, Gripper
+from megrasp_core.grippers.model import quiet_mujoco
 from megrasp_core.grippers.render import raycasting_scene
 from megrasp_core.grippers.symmetry import WARNING_RESIDUAL, symmetry_residual
 
@@ -21,6 +24,8 @@ TIMESTEPS = (0.002, 0.004)
 POSITION_SHARE = 0.05
 WIDTH_TOLERANCE = 0.002
 PALM_OVERLAP = 0.001
+COUPLING_TOLERANCE = 0.002
+"""Metres or radians that a given posture may be off a coupling or a closed loop of the model."""
 
 
 @dataclass
@@ -50,50 +55,59 @@ def check_gripper(path: str | Path) -> GripperCheck:
         return GripperCheck(str(path), errors=[str(error)])
     result = GripperCheck(gripper.name)
     _check_geometry(gripper, result)
-    for timestep in TIMESTEPS:
-        _check_closing(gripper, result, timestep)
+    _check_couplings(gripper, result)
+    with quiet_mujoco():
+        for timestep in TIMESTEPS:
+            _check_closing(gripper, result, timestep)
     residual = symmetry_residual(gripper)
     result.measures["symmetry_residual"] = residual
     if residual > WARNING_RESIDUAL:
         result.warnings.append(
             f"symmetry {gripper.description.symmetry}: the open gripper differs from itself "
-            "after the turn by "
-            f"{1000 * residual:.1f} mm (95th percentile), more than "
+            f"after the turn by {1000 * residual:.1f} mm (95th percentile); expected at most "
             f"{1000 * WARNING_RESIDUAL:.0f} mm"
         )
     return result
 
 
 def _check_geometry(gripper: Gripper, result: GripperCheck) -> None:
-    """Check sides of the fingers, direction of their motion, width, TCP; needs both kinds of
-    geoms.
-    """
+    """Check TCP, sides of the fingers, direction of their motion, width."""
     description = gripper.description
-    if not gripper.body_meshes("collision"):
-        result.errors.append(
-            "the model has no collision geometry, so it cannot grasp in simulation"
-        )
-        return
     if not gripper.model.nu:
-        result.errors.append("no joint has a drive; name the joints to drive in 'actuation'")
-    _check_tcp(gripper, result)
-    sides = [gripper.pad_points("open", group)[:, 0].mean() - gripper.tcp[0] for group in (0, 1)]
-    if sides[0] >= sides[1]:
         result.errors.append(
-            f"finger group 1 lies at x = {sides[0]:.3f} m, group 2 at {sides[1]:.3f} m; the "
-            "first group must be on -X: "
-            "swap the groups in 'fingers' or correct mount_from_model"
+            "no joint has a drive; expected at least one, name the joints to drive in 'actuation'"
         )
-    moved = [pad_displacement(gripper, group) for group in (0, 1)]
+    solid = gripper.finger_groups[[mesh.body for mesh in gripper.body_meshes("collision")]]
+    bare = [index for index in range(len(description.fingers)) if index not in solid]
+    for index in bare:
+        result.errors.append(
+            f"finger group {index + 1} ({', '.join(description.fingers[index])}) has no collision "
+            "geometry; expected some, or it cannot grasp in simulation"
+        )
+    if bare or not (_palm_is_behind(gripper, result) and _fingers_reach(gripper, result)):
+        return
+    x = [gripper.pad_points("open", group)[:, 0].mean() for group in (0, 1)]
+    if x[0] >= x[1]:
+        result.errors.append(
+            f"finger group 1 lies at x = {x[0]:.3f} m, group 2 at {x[1]:.3f} m; expected the "
+            "first group on -X: swap the groups in 'fingers' or correct mount_from_model"
+        )
+    elif not x[0] < gripper.tcp[0] < x[1]:
+        result.errors.append(
+            f"the TCP lies at x = {gripper.tcp[0]:.3f} m; expected it between finger group 1 at "
+            f"{x[0]:.3f} m and group 2 at {x[1]:.3f} m"
+        )
+    moved = [_motion(gripper, group) for group in (0, 1)]
     for group, step in enumerate(moved):
         result.measures[f"pad_closing_{group + 1}"] = float(step[0])
         result.measures[f"pad_forward_{group + 1}"] = float(step[2])
     approaching = float(moved[0][0] - moved[1][0])
     if not approaching > 0.0:
         result.errors.append(
-            f"from open to closed the pads approach each other by {1000 * approaching:.1f} mm "
-            "along X; expected more "
-            "than 0: check the postures and that mount_from_model brings the closing axis to X"
+            "from open to closed the pads approach each other by "
+            f"{round(1000 * approaching, 1) + 0.0:.1f} mm "
+            "along X; expected more than 0: correct the postures, or mount_from_model so that it "
+            "brings the closing axis to X"
         )
     width = opening(gripper)
     result.measures["opening"] = width
@@ -104,12 +118,12 @@ def _check_geometry(gripper: Gripper, result: GripperCheck) -> None:
     ):
         result.warnings.append(
             f"max_width is {1000 * description.max_width:.1f} mm, but the open fingers leave "
-            f"{1000 * width:.1f} mm at the TCP"
+            f"{1000 * width:.1f} mm at the TCP; expected no more than they leave"
         )
 
 
-def _check_tcp(gripper: Gripper, result: GripperCheck) -> None:
-    """Check that the TCP is not inside the open gripper and not behind the palm."""
+def _palm_is_behind(gripper: Gripper, result: GripperCheck) -> bool:
+    """Check that the TCP lies neither inside nor behind the palm."""
     palm = [m for m in gripper.body_meshes("collision") if gripper.finger_groups[m.body] < 0]
     poses = gripper.body_poses("open")
     ray = np.array([[*gripper.tcp, 0.0, 0.0, 1.0]], np.float32)
@@ -122,11 +136,59 @@ def _check_tcp(gripper: Gripper, result: GripperCheck) -> None:
         )
         if np.isfinite(hit) and hit > PALM_OVERLAP:
             result.errors.append(
-                f"the palm (body '{gripper.model.body(mesh.body).name}') lies in front of the "
-                f"TCP {gripper.tcp.tolist()}; "
-                "expected the TCP in front of the palm along +Z"
+                f"the palm (link '{gripper.model.body(mesh.body).name}') lies in front of the "
+                f"TCP {gripper.tcp.tolist()}; expected the TCP in front of the palm along +Z: "
+                "correct tcp or mount_from_model"
             )
-            return
+            return False
+    return True
+
+
+def _fingers_reach(gripper: Gripper, result: GripperCheck) -> bool:
+    """Check that both groups get to the height of the TCP, a wide open hand's while it closes."""
+    z = gripper.tcp[2]
+    for group in (0, 1):
+        height = np.concatenate([gripper.pad_points(name, group)[:, 2] for name in POSTURES])
+        if np.abs(height - z).min() >= PAD_HALF_HEIGHT:
+            result.errors.append(
+                f"finger group {group + 1} spans z = {height.min():.3f} to {height.max():.3f} m, "
+                f"open and closed, but the TCP lies at {z:.3f} m; expected it between the "
+                "fingertips: correct tcp or mount_from_model"
+            )
+            return False
+    return True
+
+
+def _motion(gripper: Gripper, group: int) -> NDArray[np.float64]:
+    """Return the mean displacement (3,) of a group's pad, of the whole group where the pad is at
+    the TCP's height only when closed.
+    """
+    pad = pad_displacement(gripper, group)
+    if np.isfinite(pad).all():
+        return pad
+    meshes = [m for m in gripper.body_meshes() if gripper.finger_groups[m.body] == group]
+    start, end = (
+        np.concatenate([vertices for vertices, _ in posed(meshes, gripper.body_poses(name))])
+        for name in POSTURES
+    )
+    return (end - start).mean(axis=0)
+
+
+def _check_couplings(gripper: Gripper, result: GripperCheck) -> None:
+    """Check that postures given as joints agree with the model's couplings and closed loops."""
+    data = mujoco.MjData(gripper.model)
+    for name in POSTURES:
+        if getattr(gripper.description, name).joints is None:
+            continue
+        data.qpos[:] = gripper.qpos(name)
+        mujoco.mj_forward(gripper.model, data)
+        rows = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        off = float(np.abs(data.efc_pos[rows]).max(initial=0.0))
+        if off > COUPLING_TOLERANCE:
+            result.warnings.append(
+                f"posture '{name}' is {off:.4f} (m or rad) off a joint coupling or closed loop of "
+                "the model; expected joint values that fit it, or use actuators"
+            )
 
 
 def _check_closing(gripper: Gripper, result: GripperCheck, timestep: float) -> None:
@@ -141,8 +203,8 @@ def _check_closing(gripper: Gripper, result: GripperCheck, timestep: float) -> N
     unstable = any(int(warning.number) for warning in data.warning)
     if unstable or not np.isfinite(data.qpos).all():
         result.errors.append(
-            f"closing is unstable in simulation at timestep {timestep:g} s; add damping or "
-            "armature"
+            f"closing is unstable in simulation at timestep {timestep:g} s; expected it to come "
+            "to rest: lower kp or add damping and armature in 'actuation'"
         )
         return
     span = np.maximum(np.abs(gripper.qpos("closed") - gripper.qpos("open")).max(initial=0.0), 1e-6)
@@ -153,6 +215,7 @@ def _check_closing(gripper: Gripper, result: GripperCheck, timestep: float) -> N
         joint = model.joint(int(np.flatnonzero(model.jnt_qposadr == worst)[0])).name
         result.warnings.append(
             f"after {CLOSING_TIME:g} s of closing on nothing (timestep {timestep:g} s) joint "
-            f"'{joint}' is at "
-            f"{data.qpos[worst]:.4g}, the closed posture says {gripper.qpos('closed')[worst]:.4g}"
+            f"'{joint}' is at {data.qpos[worst]:.4g}, the closed posture says "
+            f"{gripper.qpos('closed')[worst]:.4g}; expected it to get there: give it a drive in "
+            "'actuation', or more kp, force or damping"
         )

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from megrasp_core.grippers.geometry import posed
 from megrasp_core.grippers.gripper import POSTURES, Gripper
@@ -25,7 +26,7 @@ class Comparison:
     `surface`: posture -> mean symmetric point-to-surface distance of the outer surfaces;
     `surface_p95`: its 95th percentile; `tcp`: distance of the TCPs; `opening`: difference of the
     clear widths of the open postures at the TCP; `pad_motion`: largest difference of the mean
-    displacement of a finger group's pad from open to closed.
+    displacement from open to closed of a finger group's pad and of the reference's surface there.
     """
 
     surface: dict[str, float]
@@ -45,10 +46,7 @@ def compare(gripper: Gripper, reference: Gripper, count: int = 2000, seed: int =
         mean[name] = float(there.mean() + back.mean()) / 2.0
         p95[name] = float(np.percentile(np.concatenate([there, back]), 95))
     groups = range(min(len(gripper.description.fingers), len(reference.description.fingers)))
-    motion = max(
-        float(np.linalg.norm(pad_displacement(gripper, i) - pad_displacement(reference, i)))
-        for i in groups
-    )
+    motion = max(_pad_motion_difference(gripper, reference, group) for group in groups)
     tcp = float(np.linalg.norm(gripper.tcp - reference.tcp))
     return Comparison(mean, p95, tcp, opening(gripper) - opening(reference), motion)
 
@@ -106,11 +104,41 @@ def opening(gripper: Gripper, posture: str = "open") -> float:
     return float(finite.min()) if len(finite) else float("nan")
 
 
-def pad_displacement(gripper: Gripper, group: int, count: int = 4000) -> NDArray[np.float64]:
+def pad_displacement(gripper: Gripper, group: int) -> NDArray[np.float64]:
     """Return the mean displacement (3,) from open to closed of a finger group's pad.
 
     The pad is the group's surface within 15 mm of the TCP's height and 10 mm of its innermost
-    point there.
+    point there; NaN where the open group does not come to that height.
+    """
+    start, way = _group_motion(gripper, group)
+    level = np.abs(start[:, 2] - gripper.tcp[2]) < PAD_HALF_HEIGHT
+    inner = np.abs(start[:, 0] - gripper.tcp[0])
+    pad = level & (inner < inner[level].min(initial=np.inf) + PAD_DEPTH)
+    if not pad.any():
+        return np.full(3, np.nan)
+    return way[pad].mean(axis=0)
+
+
+def _pad_motion_difference(gripper: Gripper, reference: Gripper, group: int) -> float:
+    """Difference (m) of the mean ways of coinciding points: those of the group that get nearest to
+    the TCP, open or closed, and the points of the reference that lie nearest to them when open.
+    """
+    start, way = _group_motion(gripper, group)
+    there, way_there = _group_motion(reference, group)
+    reach = np.minimum(
+        np.linalg.norm(start - gripper.tcp, axis=1),
+        np.linalg.norm(start + way - gripper.tcp, axis=1),
+    )
+    pad = reach < reach.min() + PAD_DEPTH
+    _, nearest = KDTree(there).query(start[pad])
+    return float(np.linalg.norm((way[pad] - way_there[nearest]).mean(axis=0)))
+
+
+def _group_motion(
+    gripper: Gripper, group: int, count: int = 4000
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points (n, 3) on the open surface of a finger group, `count` on each mesh, and their
+    displacement (n, 3) from open to closed.
     """
     meshes = [m for m in gripper.body_meshes("visual") if gripper.finger_groups[m.body] == group]
     before, after = gripper.body_poses("open"), gripper.body_poses("closed")
@@ -126,10 +154,5 @@ def pad_displacement(gripper: Gripper, group: int, count: int = 4000) -> NDArray
         points = np.einsum("nk,nki->ni", weight, corner[chosen])
         starts.append(points @ before[mesh.body, :3, :3].T + before[mesh.body, :3, 3])
         ends.append(points @ after[mesh.body, :3, :3].T + after[mesh.body, :3, 3])
-    start, end = np.concatenate(starts), np.concatenate(ends)
-    level = np.abs(start[:, 2] - gripper.tcp[2]) < PAD_HALF_HEIGHT
-    inner = np.abs(start[:, 0] - gripper.tcp[0])
-    pad = level & (inner < inner[level].min(initial=np.inf) + PAD_DEPTH)
-    if not pad.any():
-        return np.full(3, np.nan)
-    return (end[pad] - start[pad]).mean(axis=0)
+    start = np.concatenate(starts)
+    return start, np.concatenate(ends) - start

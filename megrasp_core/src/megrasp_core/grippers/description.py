@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from megrasp_core.errors import DescriptionError
-from megrasp_core.grippers.fields import Fields
+from megrasp_core.grippers.fields import Fields, show
+from megrasp_core.grippers.model_file import MODEL_SUFFIXES, find_model
+from megrasp_core.grippers.yaml_file import read_yaml
 
 FILE_NAME = "gripper.yaml"
 KINDS = ("parallel", "adaptive", "hand")
-MODEL_SUFFIXES = (".urdf", ".xml", ".mjcf")
-ASSET_PREFIX = "asset:"
-ASSET_VARIABLE = "MEGRASP_ASSETS"
 REQUIRED = (
     "format",
     "name",
@@ -111,21 +110,7 @@ class GripperDescription:
     @property
     def model_path(self) -> Path:
         """The model file. Raises DescriptionError when it is not there."""
-        if self.model.startswith(ASSET_PREFIX):
-            root = os.environ.get(ASSET_VARIABLE)
-            if not root:
-                raise DescriptionError(
-                    f"{self.file}: 'model' is '{self.model}', but MEGRASP_ASSETS is not set; set "
-                    "it to the folder that holds grippers/"
-                )
-            path = Path(root) / "grippers" / self.model.removeprefix(ASSET_PREFIX)
-        else:
-            path = self.folder / self.model
-        if not path.is_file():
-            raise DescriptionError(
-                f"{self.file}: 'model' is '{self.model}', but there is no file {path}"
-            )
-        return path
+        return find_model(self.model, self.file)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of `gripper.yaml`; loading them gives an equal description."""
@@ -170,17 +155,17 @@ def load_description(path: str | Path) -> GripperDescription:
     file = Path(path).expanduser()
     if file.is_dir():
         file = file / FILE_NAME
-    if not file.is_file():
+    if not (os.path.isfile(file) and os.access(file, os.R_OK)):
         raise DescriptionError(
-            f"no gripper description at {file}; expected a {FILE_NAME} or a folder that holds one"
+            f"no readable gripper description at {file}; expected a {FILE_NAME} or a folder that "
+            "holds one"
         )
-    try:
-        data = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    if file.suffix.lower() in MODEL_SUFFIXES:
         raise DescriptionError(
-            f"{file}: is not valid YAML: {' '.join(str(error).split())}"
-        ) from error
-    return parse_description(data, file)
+            f"{file} is a model; expected a {FILE_NAME}. `megrasp gripper new {file.name}` makes "
+            "one from it"
+        )
+    return parse_description(read_yaml(file), file)
 
 
 def save_description(description: GripperDescription, folder: Path) -> Path:
@@ -200,26 +185,28 @@ def parse_description(data: Any, file: Path) -> GripperDescription:
     """Check the contents of a gripper.yaml and return them. Raises DescriptionError."""
     top = Fields(data, str(file))
     top.check_names(VALID, REQUIRED)
-    if top.data["format"] != 1:
-        raise top.error("format", f"must be 1, got {top.data['format']!r}")
+    version = top.data["format"]
+    if type(version) is not int or version != 1:
+        raise top.error("format", f"must be 1, got {show(version)}")
     name = top.text("name")
     if not re.fullmatch(r"[a-z0-9_]+", name):
         raise top.error("name", f"must consist of a-z, 0-9 and _, got '{name}'")
     model = top.text("model")
     if Path(model).suffix.lower() not in MODEL_SUFFIXES:
         raise top.error("model", f"must end in one of {', '.join(MODEL_SUFFIXES)}, got '{model}'")
-    tx, ty, tz = top.numbers("tcp", 3)
-    if tz <= 0.0:
+    tcp = top.point("tcp")
+    if tcp[2] <= 0.0:
         raise top.error(
-            "tcp", f"must lie in front of the palm (z > 0 in the gripper frame), got z = {tz:g}"
+            "tcp",
+            f"must lie in front of the palm (z > 0 in the gripper frame), got z = {tcp[2]:g}",
         )
     postures = top.sub("postures")
     postures.check_names(("open", "closed"), ("open", "closed"))
     kind = top.text("kind", KINDS)
-    max_width = None if top.data["max_width"] is None else top.number("max_width", above=0.0)
+    max_width = None if top.data["max_width"] is None else top.length("max_width", above=0.0)
     if max_width is None and kind != "hand":
-        raise top.error("max_width", f"may be null for hands only; kind is '{kind}'")
-    min_width = top.number("min_width", minimum=0.0)
+        raise top.error("max_width", f"may be null for kind hand only; kind is '{kind}'")
+    min_width = top.length("min_width", minimum=0.0)
     if max_width is not None and min_width >= max_width:
         raise top.error(
             "min_width", f"must be less than max_width {max_width:g}, got {min_width:g}"
@@ -230,7 +217,7 @@ def parse_description(data: Any, file: Path) -> GripperDescription:
         kind=kind,
         model=model,
         mount_from_model=_pose(top, "mount_from_model"),
-        tcp=(tx, ty, tz),
+        tcp=tcp,
         open=_posture(postures, "open"),
         closed=_posture(postures, "closed"),
         actuation=_actuation(top),
@@ -250,8 +237,7 @@ def parse_description(data: Any, file: Path) -> GripperDescription:
 def _pose(top: Fields, name: str) -> Pose:
     fields = top.sub(name)
     fields.check_names(("xyz", "quat"), ("xyz", "quat"))
-    x, y, z = fields.numbers("xyz", 3)
-    return Pose((x, y, z), fields.quaternion("quat"))
+    return Pose(fields.point("xyz"), fields.quaternion("quat"))
 
 
 def _posture(postures: Fields, name: str) -> PostureDescription:
@@ -272,15 +258,15 @@ def _posture(postures: Fields, name: str) -> PostureDescription:
 def _actuation(top: Fields) -> dict[str, Actuation]:
     outer = top.sub("actuation")
     out = {}
-    for joint in outer.data:
-        drive = outer.sub(str(joint))
+    for joint in outer.names():
+        drive = outer.sub(joint)
         drive.check_names(("kp", "force", "damping", "armature"), ("kp", "force"))
         optional = {
             key: drive.number(key, minimum=0.0)
             for key in ("damping", "armature")
             if key in drive.data
         }
-        out[str(joint)] = Actuation(
+        out[joint] = Actuation(
             drive.number("kp", above=0.0), drive.number("force", above=0.0), **optional
         )
     return out
@@ -297,10 +283,12 @@ def _fingers(top: Fields) -> tuple[tuple[str, ...], ...]:
         raise top.error(
             "fingers",
             "must be at least two lists of link names, opposing groups, the first on -X; got "
-            f"{value!r}",
+            f"{show(value)}",
         )
     flat = [link for group in groups for link in group]
     twice = sorted({link for link in flat if flat.count(link) > 1})
     if twice:
-        raise top.error("fingers", f"names the link '{twice[0]}' more than once")
+        raise top.error(
+            "fingers", f"names the link '{twice[0]}' more than once; expected each link once"
+        )
     return tuple(tuple(group) for group in groups)

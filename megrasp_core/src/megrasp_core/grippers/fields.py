@@ -4,11 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
 from typing import Any
 
 from megrasp_core.errors import DescriptionError
 
 QUATERNION_TOLERANCE = 1e-3
+LARGEST = 3.0
+"""No length of a gripper is greater (m); a millimetre model's are."""
+
+SHOWN = 120
+"""Characters of a wrong value that a message shows."""
+
+
+def choices(kind: str, given: str, valid: Iterable[str]) -> str:
+    """Return "valid <kind>: a, b", and the name like `given` where there is one."""
+    names = [name for name in valid if name]
+    near = get_close_matches(given, names, n=1)
+    meant = f"; did you mean '{near[0]}'?" if near else ""
+    return f"valid {kind}: {', '.join(names) or '(none)'}{meant}"
 
 
 class Fields:
@@ -24,7 +38,7 @@ class Fields:
         self.where = where
         self.path = path
         if not isinstance(data, Mapping):
-            raise self.error(None, f"must be a mapping of fields, got {_kind(data)}")
+            raise self.error(None, f"must be a mapping of fields (name: value), got {_kind(data)}")
         self.data: Mapping[Any, Any] = data
 
     def error(self, field: str | None, text: str) -> DescriptionError:
@@ -39,7 +53,8 @@ class Fields:
         unknown = [str(key) for key in self.data if key not in names]
         if unknown:
             raise self.error(
-                None, f"has an unknown field '{unknown[0]}'; valid fields: {', '.join(names)}"
+                None,
+                f"has an unknown field '{unknown[0]}'; {choices('fields', unknown[0], names)}",
             )
         missing = [name for name in required if name not in self.data]
         if missing:
@@ -57,15 +72,17 @@ class Fields:
         value = self.data[field]
         if not isinstance(value, str) or not value.strip():
             raise self.error(field, f"must be a text that is not empty, got {_kind(value)}")
-        if valid is not None and value not in (choices := list(valid)):
-            raise self.error(field, f"is '{value}'; valid choices: {', '.join(choices)}")
+        if valid is not None and value not in (names := list(valid)):
+            raise self.error(field, f"is '{value}'; {choices('choices', value, names)}")
         return value
 
     def integer(self, field: str, minimum: int) -> int:
         """Return a whole number of at least `minimum`."""
         value = self.data[field]
         if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
-            raise self.error(field, f"must be a whole number of at least {minimum}, got {value!r}")
+            raise self.error(
+                field, f"must be a whole number of at least {minimum}, got {_kind(value)}"
+            )
         return value
 
     def number(
@@ -81,12 +98,40 @@ class Fields:
             raise self.error(field, f"must be greater than {above:g}, got {value:g}")
         return value
 
+    def length(
+        self, field: str, minimum: float | None = None, above: float | None = None
+    ) -> float:
+        """Return a number of metres, at most those of a gripper."""
+        value = self.number(field, minimum, above)
+        self._check_metres(field, value)
+        return value
+
+    def point(self, field: str) -> tuple[float, float, float]:
+        """Return three coordinates in metres, at most those of a gripper."""
+        x, y, z = self.numbers(field, 3)
+        self._check_metres(field, x, y, z)
+        return x, y, z
+
+    def _check_metres(self, field: str, *values: float) -> None:
+        worst = max(abs(value) for value in values)
+        if worst > LARGEST:
+            raise self.error(
+                field,
+                f"holds {worst:g}; expected metres, at most {LARGEST:g} ({worst:g} mm are "
+                f"{worst / 1000:g})",
+            )
+
     def numbers(self, field: str, count: int) -> tuple[float, ...]:
         """Return `count` finite floats."""
         value = self.data[field]
         items = [_finite(item) for item in value] if isinstance(value, (list, tuple)) else []
         if len(items) != count or any(item is None for item in items):
-            raise self.error(field, f"must be a list of {count} finite numbers, got {value!r}")
+            hints = map(_hint, value) if isinstance(value, (list, tuple)) else ()
+            raise self.error(
+                field,
+                f"must be a list of {count} finite numbers, got {show(value)}"
+                f"{next(filter(None, hints), '')}",
+            )
         return tuple(item for item in items if item is not None)
 
     def quaternion(self, field: str) -> tuple[float, float, float, float]:
@@ -101,26 +146,52 @@ class Fields:
             )
         return x, y, z, w
 
+    def names(self) -> list[str]:
+        """Return the keys, all of them texts."""
+        for key in self.data:
+            if not isinstance(key, str):
+                raise self.error(None, f"must have names as keys, got {_kind(key)}")
+        return list(self.data)
+
     def named_numbers(self, field: str) -> dict[str, float]:
         """Return a mapping from names to finite floats, not empty."""
         inner = self.sub(field)
         if not inner.data:
-            raise inner.error(None, "must not be empty")
-        for key in inner.data:
-            if not isinstance(key, str):
-                raise inner.error(None, f"must have names as keys, got {key!r}")
-        return {key: inner.number(key) for key in inner.data}
+            raise inner.error(None, "must not be empty; expected name: value")
+        return {key: inner.number(key) for key in inner.names()}
+
+
+def show(value: Any) -> str:
+    """Return a value as a message shows it, cut where it is long."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python writes no whole number of more than 4300 digits.
+        text = "a number of thousands of digits"
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
 
 
 def _finite(value: Any) -> float | None:
     """Return `value` as a finite float, or None."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
         return None
-    return float(value)
+    try:
+        number = float(value)
+    except OverflowError:
+        return None
+    return number if math.isfinite(number) else None
 
 
 def _kind(value: Any) -> str:
     """Describe a wrong value for a message."""
     if value is None:
         return "nothing (null)"
-    return f"{value!r} ({type(value).__name__})"
+    return f"{show(value)} ({type(value).__name__}){_hint(value)}"
+
+
+def _hint(value: Any) -> str:
+    """Return what to write for a number that YAML takes for a text, such as 1e-3."""
+    try:
+        number = float(value) if isinstance(value, str) else math.nan
+    except ValueError:
+        return ""
+    return f", which YAML takes for a text; write {number!r}" if math.isfinite(number) else ""

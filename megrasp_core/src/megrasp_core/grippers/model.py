@@ -12,15 +12,19 @@ import logging
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from megrasp_core.errors import DescriptionError
-from megrasp_core.grippers.actuation import apply_actuation
+from megrasp_core.grippers.actuation import apply_actuation, free_name
 from megrasp_core.grippers.description import GripperDescription
+from megrasp_core.grippers.fields import choices
 from megrasp_core.grippers.inertia import correct_masses
+from megrasp_core.grippers.model_file import read_xml
+from megrasp_core.grippers.model_mistakes import check_model, check_spec, check_xml, mesh_mistake
 
 ROOT_BODY = "gripper"
 VISUAL_GROUP = 2
@@ -46,38 +50,51 @@ def build_spec(description: GripperDescription) -> mujoco.MjSpec:
     does not fit.
     """
     path = description.model_path
-    try:
-        child = mujoco.MjSpec.from_file(str(path))
-    except (ValueError, mujoco.FatalError) as error:
-        raise DescriptionError(
-            f"{description.file}: cannot read the model {path}: {error}"
-        ) from error
+    check_xml(read_xml(path), path)
+    child = _read(path)
+    check_spec(child, path)
     child.compiler.fusestatic = False
     child.compiler.discardvisual = False
     _strip(child)
-    _name_joints(child, description)
+    _name_joints(child)
     _prepare_geoms(child)
     if path.suffix.lower() == ".urdf":
         _steady_urdf(child)
     apply_actuation(child, description)
-    wrapped = _wrap(child, description)
-    _check_bodies(wrapped, description)
-    return wrapped
+    _check_bodies(child, description)
+    return _wrap(child, description)
 
 
 def compile_spec(spec: mujoco.MjSpec, description: GripperDescription) -> mujoco.MjModel:
     """Compile a wrapped model; impossible masses in it are corrected, in `spec` too.
 
-    Raises DescriptionError with MuJoCo's reason.
+    Raises DescriptionError with MuJoCo's reason, or a better one where it is known.
     """
-    try:
-        with _quiet_mujoco(), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+    path = description.model_path
+    with _explained(path, "compile"):
+        model = spec.compile()
+        if correct_masses(spec, model):
             model = spec.compile()
-            return spec.compile() if correct_masses(spec, model) else model
+    check_model(model, path)
+    return model
+
+
+def _read(path: Path) -> mujoco.MjSpec:
+    with _explained(path, "read"):
+        return mujoco.MjSpec.from_file(str(path))
+
+
+@contextmanager
+def _explained(path: Path, doing: str) -> Iterator[None]:
+    """Turn what MuJoCo raises about a model into a DescriptionError."""
+    try:
+        with quiet_mujoco():
+            yield
     except (ValueError, mujoco.FatalError) as error:
+        mistake = mesh_mistake(_read(path), path) if doing == "compile" else None
+        reason = " ".join(str(error).split())
         raise DescriptionError(
-            f"{description.file}: MuJoCo cannot compile {description.model_path}: {error}"
+            mistake or f"{path}: MuJoCo cannot {doing} the model; it says: {reason}"
         ) from error
 
 
@@ -96,18 +113,11 @@ def _strip(spec: mujoco.MjSpec) -> None:
         spec.delete(element)
 
 
-def _name_joints(spec: mujoco.MjSpec, description: GripperDescription) -> None:
-    """Give unnamed joints a name, clear URDF effort clamps, refuse joints that are not hinge or
-    slide.
-    """
+def _name_joints(spec: mujoco.MjSpec) -> None:
+    """Give unnamed joints a name, clear URDF effort clamps."""
+    taken = {joint.name for joint in spec.joints}
     for index, joint in enumerate(spec.joints):
-        if joint.type not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-            raise DescriptionError(
-                f"{description.file}: the model has a joint '{joint.name}' that is neither hinge "
-                "nor slide; "
-                "remove free and ball joints from the gripper's model"
-            )
-        joint.name = joint.name or f"joint_{index}"
+        joint.name = joint.name or free_name(f"joint_{index}", taken)
         joint.actfrclimited = int(mujoco.mjtLimited.mjLIMITED_FALSE)
 
 
@@ -171,17 +181,24 @@ def _wrap(child: mujoco.MjSpec, description: GripperDescription) -> mujoco.MjSpe
     x, y, z, w = Rotation.from_quat(mount.quat).as_quat()
     root = spec.worldbody.add_body(name=ROOT_BODY, gravcomp=1.0)
     frame = root.add_frame(pos=np.array(mount.xyz), quat=np.array([w, x, y, z]))
-    with _quiet_mujoco(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with quiet_mujoco():
         spec.attach(child, prefix="", frame=frame)
+    if _mechanics(spec) < _mechanics(child):
+        # Attaching drops what refers to something that is not there; compiling names it.
+        with _explained(description.model_path, "compile"):
+            _read(description.model_path).compile()
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 10.0
     return spec
 
 
+def _mechanics(spec: mujoco.MjSpec) -> int:
+    return len(spec.equalities) + len(spec.actuators) + len(spec.tendons)
+
+
 @contextmanager
-def _quiet_mujoco() -> Iterator[None]:
+def quiet_mujoco() -> Iterator[None]:
     """Send MuJoCo's warnings to the log instead of stderr and a file in the working directory.
 
     Attaching without a prefix warns about saving to XML; names without a prefix are what
@@ -190,18 +207,23 @@ def _quiet_mujoco() -> Iterator[None]:
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda text: _log.debug("MuJoCo: %s", text))
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
     finally:
         mujoco.set_mju_user_warning(before)
 
 
 def _check_bodies(spec: mujoco.MjSpec, description: GripperDescription) -> None:
-    names = [body.name for body in spec.bodies if body.name not in ("world", ROOT_BODY)]
-    for group in description.fingers:
-        for link in group:
-            if link not in names:
-                raise DescriptionError(
-                    f"{description.file}: 'fingers' names the link '{link}', which the model "
-                    "does not have; valid "
-                    f"links: {', '.join(names)}"
-                )
+    names = [body.name for body in spec.bodies if body.name != "world"]
+    if ROOT_BODY in names:
+        raise DescriptionError(
+            f"{description.model_path}: a link has the name '{ROOT_BODY}', which the loader gives "
+            f"to the frame it adds; expected another, such as '{ROOT_BODY}_base'"
+        )
+    for link in (link for group in description.fingers for link in group):
+        if link not in names:
+            raise DescriptionError(
+                f"{description.file}: 'fingers' names the link '{link}', which the model does not "
+                f"have; {choices('links', link, names)}"
+            )

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from megrasp_core.errors import DescriptionError
 from megrasp_core.grippers.actuation import control_of
 from megrasp_core.grippers.description import GripperDescription, PostureDescription
+from megrasp_core.grippers.fields import choices
+from megrasp_core.grippers.model import quiet_mujoco
 
 LIMIT_TOLERANCE = 1e-4
 SETTLE_TIME = 2.0
@@ -44,6 +46,11 @@ def resolve_posture(model: mujoco.MjModel, description: GripperDescription, name
     else:
         control = _control(model, given, where)
         qpos = settle(model, control)
+        if not np.isfinite(qpos).all():
+            raise DescriptionError(
+                f"{where}.actuators' is unstable in simulation; expected it to come to rest. "
+                "Lower kp or add damping and armature in 'actuation'"
+            )
     joints = {model.joint(i).name: float(qpos[model.jnt_qposadr[i]]) for i in range(model.njnt)}
     return Posture(joints, qpos, control)
 
@@ -60,7 +67,8 @@ def start_qpos(model: mujoco.MjModel) -> NDArray[np.float64]:
 
 
 def settle(model: mujoco.MjModel, control: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Drive the gripper with `control` (nu,) until it rests, gravity compensated; return qpos.
+    """Drive the gripper with `control` (nu,) until it rests, gravity compensated; return qpos, nan
+    where it is unstable.
 
     Damping in proportion to inertia is added for this, so that models without any come to rest.
     """
@@ -70,11 +78,14 @@ def settle(model: mujoco.MjModel, control: NDArray[np.float64]) -> NDArray[np.fl
     data.qpos[:] = start_qpos(model)
     data.ctrl[:] = control
     steps = int(SETTLE_TIME / model.opt.timestep)
-    for step in range(steps):
-        mujoco.mj_step(model, data)
-        if step > steps // 10 and np.abs(data.qvel).max(initial=0.0) < REST_SPEED:
-            break
-    return data.qpos.copy()
+    with quiet_mujoco():
+        for step in range(steps):
+            mujoco.mj_step(model, data)
+            if step > steps // 10 and np.abs(data.qvel).max(initial=0.0) < REST_SPEED:
+                break
+    # MuJoCo starts an unstable state again at the default positions.
+    unstable = any(int(warning.number) for warning in data.warning)
+    return np.full(model.nq, np.nan) if unstable else data.qpos.copy()
 
 
 def _from_joints(
@@ -86,27 +97,28 @@ def _from_joints(
     for name, value in (given.joints or {}).items():
         if name not in names:
             raise DescriptionError(
-                f"{where}.joints' names the joint '{name}', which the model does not have; valid "
-                "joints: "
-                f"{', '.join(names)}"
+                f"{where}.joints' names the joint '{name}', which the model does not have; "
+                f"{choices('joints', name, names)}"
             )
-        joint = model.joint(name)
-        low, high = joint.range
-        if joint.limited[0] and not low - LIMIT_TOLERANCE <= value <= high + LIMIT_TOLERANCE:
-            raise DescriptionError(
-                f"{where}.joints.{name}' is {value:g}, outside the joint's limits {low:g} to "
-                f"{high:g}"
-            )
-        qpos[joint.qposadr[0]] = value
+        qpos[model.joint(name).qposadr[0]] = value
         known.add(name)
     _follow_couplings(model, qpos, known)
     missing = [name for name in names if name not in known]
     if missing:
         raise DescriptionError(
             f"{where}.joints' lacks the joint{'s' if len(missing) > 1 else ''} "
-            f"{', '.join(missing)}; a posture gives "
-            "every joint that no joint coupling (mimic) derives, or uses actuators"
+            f"{', '.join(missing)}; expected every joint that no joint coupling (mimic) derives, "
+            f"or actuators instead; joints of the model: {', '.join(names)}"
         )
+    for name in names:
+        joint, value = model.joint(name), float(qpos[model.joint(name).qposadr[0]])
+        low, high = joint.range
+        if joint.limited[0] and not low - LIMIT_TOLERANCE <= value <= high + LIMIT_TOLERANCE:
+            derived = "" if name in (given.joints or {}) else " through its coupling (mimic)"
+            raise DescriptionError(
+                f"{where}.joints.{name}' is {value:g}{derived}, outside the joint's limits; "
+                f"expected {low:g} to {high:g}"
+            )
     return qpos
 
 
@@ -160,8 +172,7 @@ def _control(model: mujoco.MjModel, given: PostureDescription, where: str) -> ND
         if name not in names:
             raise DescriptionError(
                 f"{where}.actuators' names the actuator '{name}', which the model does not have; "
-                "valid actuators: "
-                f"{', '.join(names) or '(none)'}"
+                f"{choices('actuators', name, names)}"
             )
         index = names.index(name)
         bottom, top = model.actuator_ctrlrange[index]
@@ -170,8 +181,8 @@ def _control(model: mujoco.MjModel, given: PostureDescription, where: str) -> ND
             and not bottom - LIMIT_TOLERANCE <= value <= top + LIMIT_TOLERANCE
         ):
             raise DescriptionError(
-                f"{where}.actuators.{name}' is {value:g}, outside the control range {bottom:g} "
-                f"to {top:g}"
+                f"{where}.actuators.{name}' is {value:g}, outside the control range; expected "
+                f"{bottom:g} to {top:g}"
             )
         control[index] = value
     return control

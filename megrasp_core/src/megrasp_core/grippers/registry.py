@@ -12,8 +12,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from megrasp_core.errors import DescriptionError, UnknownGripperError
-from megrasp_core.grippers.description import ASSET_VARIABLE, FILE_NAME
+from megrasp_core.grippers.description import FILE_NAME
 from megrasp_core.grippers.gripper import Gripper
+from megrasp_core.grippers.model_file import ASSET_VARIABLE
 
 SHARE = Path("share") / "gripper_descriptions"
 PATH_VARIABLE = "MEGRASP_GRIPPER_PATH"
@@ -83,12 +84,11 @@ def load_gripper(name_or_folder: str | Path, extra_paths: Iterable[str | Path] =
         if gripper.name != name:
             raise DescriptionError(
                 f"{gripper.description.file}: 'name' is '{gripper.name}', but the folder, which "
-                "is the registered "
-                f"name, is called '{name}'; make them the same"
+                f"is the registered name, is called '{name}'; make them the same"
             )
         return gripper
     path = Path(name_or_folder).expanduser()
-    if path.is_file() or path.is_dir():
+    if os.path.exists(path):
         return Gripper.from_path(path)
     raise UnknownGripperError(name, registered)
 

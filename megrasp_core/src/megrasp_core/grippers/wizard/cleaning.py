@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import logging
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 import mujoco
 import numpy as np
 
 from megrasp_core.errors import DescriptionError
-from megrasp_core.grippers.model import COUPLING_SOLREF, SOLIMP, URDF_ARMATURE
+from megrasp_core.grippers.actuation import free_name
+from megrasp_core.grippers.model import (
+    COUPLING_SOLREF,
+    ROOT_BODY,
+    SOLIMP,
+    URDF_ARMATURE,
+    quiet_mujoco,
+)
 from megrasp_core.grippers.wizard.findings import Notes
-
-_log = logging.getLogger(__name__)
 
 JOINT_KINDS = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 
@@ -23,6 +23,11 @@ def clean(spec: mujoco.MjSpec, notes: Notes) -> None:
     """Name what has no name; delete what a description does not use, in place."""
     for index, body in enumerate(spec.bodies):
         body.name = body.name or f"link_{index}"
+        if body.name == ROOT_BODY:
+            body.name = free_name(f"{ROOT_BODY}_base", {other.name for other in spec.bodies})
+            notes.add(
+                f"link '{ROOT_BODY}' renamed to '{body.name}': the loader's frame has that name"
+            )
     for geom in [g for g in spec.geoms if g.type == mujoco.mjtGeom.mjGEOM_PLANE]:
         spec.delete(geom)
     _free_root(spec, notes)
@@ -82,19 +87,6 @@ def cut_out(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
     for mesh in [m for m in out.meshes if m.name not in used]:
         out.delete(mesh)
     return out
-
-
-@contextmanager
-def quiet_mujoco() -> Iterator[None]:
-    """Keep MuJoCo's warnings about attaching from the terminal."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda text: _log.debug("MuJoCo: %s", text))
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        mujoco.set_mju_user_warning(before)
 
 
 def _free_root(spec: mujoco.MjSpec, notes: Notes) -> None:

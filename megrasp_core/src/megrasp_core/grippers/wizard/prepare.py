@@ -10,8 +10,9 @@ import mujoco
 
 from megrasp_core.errors import DescriptionError
 from megrasp_core.grippers.description import GripperDescription, Pose, PostureDescription
-from megrasp_core.grippers.model import build_spec, compile_spec
-from megrasp_core.grippers.wizard.cleaning import clean, cut_out, quiet_mujoco, steady_urdf
+from megrasp_core.grippers.model import build_spec, compile_spec, quiet_mujoco
+from megrasp_core.grippers.model_mistakes import check_spec
+from megrasp_core.grippers.wizard.cleaning import clean, cut_out, steady_urdf
 from megrasp_core.grippers.wizard.drives import find_drives
 from megrasp_core.grippers.wizard.findings import Notes
 from megrasp_core.grippers.wizard.mechanism import Mechanism, find_mechanism, rigid_parts
@@ -105,6 +106,7 @@ def prepare(
 
 
 def _compile(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
+    check_spec(spec, path)
     try:
         with quiet_mujoco():
             return spec.compile()
@@ -125,11 +127,6 @@ def _written(spec: mujoco.MjSpec, folder: Path, path: Path) -> Prepared:
             file.unlink()
     description = provisional_description(folder)
     model = compile_spec(build_spec(description), description)
-    if not model.njnt:
-        raise DescriptionError(
-            f"{path} has no moving joint; expected fingers on revolute, prismatic, hinge or slide "
-            "joints. Was it exported with its joints fixed? Suction tools are no grippers here"
-        )
     motion = Motion(model, find_drives(model))
     middle = (motion.low + motion.high) / 2.0
     samples = [motion.poses(v) for v in (motion.rest(), motion.low, middle, motion.high)]

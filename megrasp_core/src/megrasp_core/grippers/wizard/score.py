@@ -13,12 +13,8 @@ from typing import Any
 import numpy as np
 
 from megrasp_core.errors import DescriptionError, MegraspError
-from megrasp_core.grippers.description import (
-    FILE_NAME,
-    MODEL_SUFFIXES,
-    GripperDescription,
-    load_description,
-)
+from megrasp_core.grippers.description import FILE_NAME, GripperDescription, load_description
+from megrasp_core.grippers.model_file import MODEL_SUFFIXES
 from megrasp_core.grippers.wizard.wizard import Request, new_gripper
 
 FACTS_FILE = "facts.json"

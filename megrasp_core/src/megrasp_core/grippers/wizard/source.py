@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 import mujoco
 
 from megrasp_core.errors import DescriptionError
+from megrasp_core.grippers.model_file import read_xml
 from megrasp_core.grippers.wizard.findings import Notes
 from megrasp_core.grippers.wizard.meshes import MeshFinder, MeshStore, missing_message
 
@@ -33,28 +34,12 @@ def read_source(
     """
     if not path.is_file():
         raise DescriptionError(f"no model at {path}; expected a URDF or MJCF file")
-    try:
-        text = path.read_text(encoding="utf-8")
-        root = ElementTree.fromstring(text)
-    except (UnicodeDecodeError, ElementTree.ParseError) as error:
-        raise DescriptionError(
-            f"{path} is no XML ({error}); expected a URDF or MJCF file"
-        ) from error
-    if any("xacro" in str(element.tag) for element in root.iter()) or path.suffix == ".xacro":
-        raise DescriptionError(
-            f"{path} is a xacro file, which must be expanded first: xacro {path.name} > "
-            f"{path.name.partition('.')[0]}.urdf"
-        )
+    root = read_xml(path)
     store = MeshStore(folder)
     if root.tag == "robot":
         spec = _read_urdf(path, root, packages, store, notes)
-    elif root.tag in ("mujoco", "mujocoinclude"):
-        spec = _read_mjcf(path, packages, store, notes)
     else:
-        raise DescriptionError(
-            f"{path} is neither URDF nor MJCF: its outermost element is <{root.tag}>; expected "
-            "<robot> or <mujoco>"
-        )
+        spec = _read_mjcf(path, packages, store, notes)
     spec.meshdir = str(store.folder.resolve())
     if store.converted:
         notes.add(f"meshes converted to STL: {', '.join(sorted(set(store.converted)))}")
