@@ -33,7 +33,8 @@ from megrasp_core.datasets import (
     with_cloud,
     write_recipes,
 )
-from megrasp_core.errors import DataError
+from megrasp_core.datasets.scenes import scene_grippers
+from megrasp_core.errors import DataError, InvalidRequestError
 from megrasp_core.grippers import Gripper, load_gripper
 from megrasp_core.lie.pose import matrix_from_pose7
 from megrasp_core.simulation import (
@@ -285,6 +286,20 @@ def test_ray_makes_the_same_library_and_scenes_bit_for_bit(packed, ray_cluster, 
             tmp_path / name / "scenes" / f"scene_{seed:010d}.npz" for name in ("ray", "local")
         ]
         assert files[0].read_bytes() == files[1].read_bytes()
+
+
+def test_a_scene_is_labelled_for_a_drawn_part_of_the_grippers(packed, library):
+    grippers = ("robotiq_2f85", "franka_hand", "vx300s_gripper")
+    config = replace(CONFIG, grippers=grippers, grippers_per_scene=2)
+    drawn = [scene_grippers(seed, config) for seed in range(12)]
+    assert {name for names in drawn for name in names} == set(grippers)
+    assert all(len(names) == 2 for names in drawn)
+    record = build_scene(6, config, library, OBJECTS)
+    assert sorted(record.labels) == sorted(scene_grippers(6, config))
+    assert record_problems(record, set(grippers)) == []
+    assert record_problems(record, {"robotiq_2f85"})
+    with pytest.raises(InvalidRequestError, match="grippers_per_scene is 4; expected 1 to 3"):
+        scene_grippers(0, replace(config, grippers_per_scene=4))
 
 
 def test_bad_jobs_are_refused(packed, tmp_path):

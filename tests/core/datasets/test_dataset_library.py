@@ -19,6 +19,7 @@ from megrasp_core.datasets import (
     write_recipes,
 )
 from megrasp_core.datasets.library import thinned
+from megrasp_core.datasets.object_set import SIZE_EDGES, balanced_shares
 from megrasp_core.errors import DataError, ObjectError
 
 
@@ -147,3 +148,16 @@ def test_object_names_bring_models_back_and_wrong_ones_are_named(monkeypatch):
         objects["cup"]
     with pytest.raises(ObjectError, match="MEGRASP_ASSETS"):
         objects["asset/train/ycb/cup"]
+
+
+def test_objects_are_drawn_evenly_over_sizes_and_categories():
+    objects = ObjectSet(procedural_names(30))
+    shares = balanced_shares(objects)
+    edge = np.array([np.ptp(objects[name].vertices, axis=0).max() for name in objects.names])
+    kind = np.array([objects[name].category for name in objects.names])
+    size = np.digitize(edge, SIZE_EDGES)
+    by_size = [shares[size == one].sum() for one in np.unique(size)]
+    np.testing.assert_allclose(by_size, 1 / len(by_size))
+    middle = [shares[(size == 1) & (kind == one)].sum() for one in np.unique(kind[size == 1])]
+    np.testing.assert_allclose(middle, middle[0])
+    assert balanced_shares(objects) is shares

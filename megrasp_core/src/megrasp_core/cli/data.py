@@ -64,6 +64,7 @@ def scenes(
     library: Path,
     num_scenes: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 100,
     gripper: Grippers = TRAINED,
+    grippers_per_scene: int | None = None,
     procedural: int = 60,
     assets: bool = True,
     executor: Executor = "local",
@@ -80,7 +81,9 @@ def scenes(
         out: data set folder.
         library: grasp library: folder of `data grasps` or a packed file.
         num_scenes: how many, with the seeds seed, seed + 1, ...
-        gripper: names or folders; every scene is labelled for each.
+        gripper: names or folders.
+        grippers_per_scene: so many of them are labelled in a scene, drawn anew for each; all
+            without it.
         procedural: number of procedural objects to draw from.
         assets: draw from the train scans under MEGRASP_ASSETS as well, where it is set.
         executor: local processes or a Ray cluster.
@@ -92,7 +95,8 @@ def scenes(
 
     if num_scenes < 1:
         raise InvalidRequestError(f"--num-scenes {num_scenes} was given; expected at least 1.")
-    job = SceneJob(SceneConfig(grippers=tuple(gripper)), library, _objects(procedural, assets))
+    scene = SceneConfig(grippers=tuple(gripper), grippers_per_scene=grippers_per_scene)
+    job = SceneJob(scene, library, _objects(procedural, assets))
     seeds = range(seed, seed + num_scenes)
     with _bar("scenes") as tell:
         summary = generate_scenes(

@@ -1,4 +1,4 @@
-"""Counts and checks of a data set on disk: what `megrasp data stats` and `megrasp data verify`
+"""Counts and checks of a scene data set on disk: what `megrasp data stats` and `megrasp data verify`
 report.
 """
 
@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from megrasp_core.datasets.library import GraspLibrary
 from megrasp_core.datasets.records import Kind, SceneRecord
 from megrasp_core.datasets.storage import SceneDataset
 from megrasp_core.errors import DataError
@@ -72,25 +71,6 @@ def _summary(entry: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def library_stats(library: GraspLibrary) -> dict[str, Any]:
-    """Counts of a grasp library per gripper: objects, objects with any success, successes, trials,
-    drawn.
-    """
-    result: dict[str, Any] = {}
-    for name in library.grippers:
-        sets = [entry for entry in library if entry.gripper == name]
-        held = np.array([int(entry.success.sum()) for entry in sets])
-        result[name] = {
-            "objects": len(sets),
-            "objects_with_success": int((held > 0).sum()),
-            "successes": int(held.sum()),
-            "failures_kept": int(sum(len(entry.success) for entry in sets) - held.sum()),
-            "trials": int(sum(entry.tried for entry in sets)),
-            "drawn": int(sum(entry.drawn for entry in sets)),
-        }
-    return result
-
-
 def verify_dataset(
     folder: str | Path, on_progress: Callable[[int, int], object] | None = None
 ) -> list[str]:
@@ -128,8 +108,10 @@ def record_problems(record: SceneRecord, grippers: set[str] | None = None) -> li
         problems.append("some normals are not of unit length")
     if record.object_poses.shape != (objects, 7) or record.obstacle.shape != (objects,):
         problems.append("object poses or obstacle flags do not match the object names")
-    if grippers and set(record.labels) != grippers:
-        problems.append(f"labels for {sorted(record.labels)}; expected {sorted(grippers)}")
+    if grippers and not set(record.labels) <= grippers:
+        problems.append(f"labels for {sorted(record.labels)}; expected some of {sorted(grippers)}")
+    if not record.labels:
+        problems.append("no labels of any gripper")
     for name, labels in record.labels.items():
         problems.extend(f"{name}: {problem}" for problem in _label_problems(labels, objects))
     return problems

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from megrasp_core.datasets.candidates import CandidateSettings
-from megrasp_core.datasets.object_set import ObjectSet, obstacle_name
+from megrasp_core.datasets.object_set import ObjectSet, balanced_shares, obstacle_name
 from megrasp_core.errors import SimulationError
 from megrasp_core.lie.pose import matrix_from_pose7, pose7_from_matrix
 from megrasp_core.pointcloud import OrientedBox, SceneSettings
@@ -26,12 +26,13 @@ class SceneConfig:
     """How training scenes are drawn and labelled; lengths in m, angles in rad.
 
     Attributes:
-        grippers: names or folders; every scene is labelled for each.
+        grippers: names or folders that scenes are labelled for.
         objects: smallest and largest number of graspable objects.
         bin_share: share of scenes in a bin; the rest lie on a table.
         bin_inner: mean inner size of the bin; each edge is drawn within +-`bin_spread`.
         table_region: size of the region of interest on a table.
-        obstacle_share: share of scenes with one or two obstacles.
+        grippers_per_scene: so many of them, drawn anew for every scene, are labelled; None: all.
+        obstacle_share: share of scenes with one to three obstacles.
         camera_height, camera_shift, camera_tilt: camera over the origin, and how far its pose
             varies.
         image: width and height in pixels.
@@ -61,7 +62,8 @@ class SceneConfig:
     bin_inner: tuple[float, float, float] = (0.40, 0.30, 0.15)
     bin_spread: float = 0.2
     table_region: tuple[float, float, float] = (0.50, 0.40, 0.25)
-    obstacle_share: float = 0.2
+    obstacle_share: float = 0.3
+    grippers_per_scene: int | None = None
     camera_height: float = 0.85
     camera_shift: float = 0.03
     camera_tilt: float = np.deg2rad(4.0)
@@ -141,10 +143,11 @@ def draw_layout(
     spread = rng.uniform(1 - config.bin_spread, 1 + config.bin_spread, size=3)
     inner = np.round(np.array(config.bin_inner) * spread, 4)
     bin = Bin((float(inner[0]), float(inner[1]), float(inner[2]))) if in_bin else None
-    obstacles = int(rng.integers(1, 3)) if rng.random() < config.obstacle_share else 0
+    obstacles = int(rng.integers(1, 4)) if rng.random() < config.obstacle_share else 0
+    shares = balanced_shares(objects)
     for attempt in range(attempts):
         graspable = max(1, min(count - 2 * attempt, len(objects)))
-        chosen = rng.choice(len(objects), size=graspable, replace=False)
+        chosen = rng.choice(len(objects), size=graspable, replace=False, p=shares)
         names = [objects.names[index] for index in chosen]
         names += [obstacle_name(int(rng.integers(1_000_000))) for _ in range(obstacles)]
         scene = settle([objects[name] for name in names], bin=bin, rng=rng)

@@ -10,8 +10,12 @@ from __future__ import annotations
 
 import os
 import re
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from megrasp_core.errors import ObjectError
 from megrasp_core.objects import ObjectModel, asset_objects, load_object, procedural_object
@@ -32,13 +36,19 @@ class ObjectSet:
         self.names = tuple(names)
         self._assets = Path(assets) if assets is not None else None
         self._loaded: dict[str, ObjectModel] = {}
+        self.shares: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
         return len(self.names)
 
     def __getstate__(self) -> dict[str, object]:
         # Workers load what they need: models would be megabytes in every unit.
-        return {"names": self.names, "_assets": self._assets, "_loaded": {}}
+        return {
+            "names": self.names,
+            "_assets": self._assets,
+            "_loaded": {},
+            "shares": self.shares,
+        }
 
     def __getitem__(self, name: str) -> ObjectModel:
         """The model of a name.
@@ -54,22 +64,58 @@ class ObjectSet:
         """The set with these names only."""
         return ObjectSet(names, self._assets)
 
+    def folder(self, name: str) -> Path | None:
+        """Folder of a scan; None for what is no scan.
+
+        Raises:
+            ObjectError: a scan, and the assets are not there.
+        """
+        if not name.startswith(_ASSET):
+            return None
+        root = self._assets or os.environ.get("MEGRASP_ASSETS")
+        if not root:
+            raise ObjectError(
+                f"object {name} needs the asset folder; expected the environment variable "
+                "MEGRASP_ASSETS to name it. Set it, or use procedural objects alone."
+            )
+        return Path(root) / "objects" / name[len(_ASSET) :]
+
     def _load(self, name: str) -> ObjectModel:
         match = re.fullmatch(r"(procedural|obstacle)/(\d+)", name)
         if match is not None:
             return procedural_object(int(match[2]), obstacle=match[1] == "obstacle")
-        if name.startswith(_ASSET):
-            root = self._assets or os.environ.get("MEGRASP_ASSETS")
-            if root is None:
-                raise ObjectError(
-                    f"object {name} needs the asset folder; expected the environment variable "
-                    "MEGRASP_ASSETS to name it. Set it, or use procedural objects alone."
-                )
-            return load_object(Path(root) / "objects" / name[len(_ASSET) :], name)
+        folder = self.folder(name)
+        if folder is not None:
+            return load_object(folder, name)
         raise ObjectError(
             f"unknown object {name!r}; expected asset/<split>/<set>/<name>, procedural/<number> "
             "or obstacle/<number>."
         )
+
+
+SIZE_EDGES = (0.06, 0.12)
+"""Between small, middle and large objects, by their longest edge (m)."""
+
+
+def balanced_shares(objects: ObjectSet) -> NDArray[np.float64]:
+    """Share (n,) with which each object is drawn: the same for every category that occurs in a
+    class of size, however many objects it has there, and the same for every class of size.
+
+    Loads all objects the first time.
+    """
+    if objects.shares is None:
+        objects.shares = _shares([objects[name] for name in objects.names])
+    return objects.shares
+
+
+def _shares(models: Sequence[ObjectModel]) -> NDArray[np.float64]:
+    edge = [float(np.ptp(model.vertices, axis=0).max()) for model in models]
+    size = np.searchsorted(SIZE_EDGES, edge)
+    groups = list(zip(size.tolist(), (model.category for model in models), strict=True))
+    in_group = Counter(groups)
+    of_size = Counter(group[0] for group in in_group)
+    shares = np.array([1.0 / (in_group[group] * of_size[group[0]]) for group in groups])
+    return shares / shares.sum()
 
 
 def obstacle_name(number: int) -> str:

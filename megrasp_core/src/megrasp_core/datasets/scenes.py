@@ -15,14 +15,14 @@ import numpy as np
 
 from megrasp_core.datasets.executors import ExecutorConfig, Progress, RunSummary, run_units
 from megrasp_core.datasets.labelling import cached_gripper
-from megrasp_core.datasets.layout import GRAVITY, SceneConfig, draw_layout
+from megrasp_core.datasets.layout import GRAVITY, LABELS, SceneConfig, draw_layout, stream
 from megrasp_core.datasets.library import GraspLibrary, load_library
 from megrasp_core.datasets.object_set import ObjectSet
 from megrasp_core.datasets.observing import scene_surface
 from megrasp_core.datasets.records import SceneRecord, pack_normals
 from megrasp_core.datasets.scene_labels import SceneLabeller
 from megrasp_core.datasets.storage import SceneWriter, scene_name
-from megrasp_core.errors import DataError
+from megrasp_core.errors import DataError, InvalidRequestError
 
 
 def build_scene(
@@ -45,7 +45,7 @@ def build_scene(
     layout = draw_layout(seed, config, objects)
     surface = scene_surface(layout, seed, config, objects)
     labels = {}
-    for name in config.grippers:
+    for name in scene_grippers(seed, config):
         gripper = cached_gripper(name)
         labels[gripper.name] = SceneLabeller(
             layout, gripper, library, objects, seed, config
@@ -64,6 +64,18 @@ def build_scene(
         gravity=np.asarray(GRAVITY, np.float32),
         labels=labels,
     )
+
+
+def scene_grippers(seed: int, config: SceneConfig) -> list[str]:
+    """Grippers that the scene of a seed is labelled for, in the order of the config."""
+    count = len(config.grippers)
+    wanted = count if config.grippers_per_scene is None else config.grippers_per_scene
+    if not 1 <= wanted <= count:
+        raise InvalidRequestError(
+            f"grippers_per_scene is {wanted}; expected 1 to {count}, the number of grippers."
+        )
+    chosen = stream(seed, LABELS).permutation(count)[:wanted]
+    return [config.grippers[index] for index in sorted(chosen)]
 
 
 @dataclass(frozen=True)
