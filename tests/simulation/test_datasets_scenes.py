@@ -19,6 +19,7 @@ from megrasp_core.datasets import (
     SceneDataset,
     SceneJob,
     SceneRecord,
+    ViewShares,
     build_scene,
     generate_library,
     generate_scenes,
@@ -33,6 +34,7 @@ from megrasp_core.datasets import (
     with_cloud,
     write_recipes,
 )
+from megrasp_core.datasets.library import continue_library
 from megrasp_core.datasets.scenes import scene_grippers
 from megrasp_core.errors import DataError, InvalidRequestError
 from megrasp_core.grippers import Gripper, load_gripper
@@ -131,6 +133,15 @@ def test_free_space_labels_hold_when_tried_again(library, gripper):
     assert sum(rig.trial(pose).success for pose in poses) >= len(poses) - 1
 
 
+def test_a_packed_library_is_continued(library, tmp_path):
+    assert continue_library(library, tmp_path) == 5
+    assert continue_library(library, tmp_path) == 0
+    config = LibraryConfig(("robotiq_2f85",), OBJECTS, settings=LABELS)
+    assert generate_library(tmp_path, config).done == 0
+    other = [replace(entry, gripper_hash="another") for entry in library]
+    assert continue_library(GraspLibrary(other), tmp_path / "new") == 0
+
+
 def test_labelling_stops_at_its_target_and_repeats_with_its_seed(gripper):
     model = OBJECTS[OBJECTS.names[1]]
     settings = replace(LABELS, target=2, fresh=1.0, failures=0.0)
@@ -225,10 +236,12 @@ def test_no_obstacle_is_ever_a_target(library):
 
 
 def test_tables_have_no_bin_and_may_be_seen_from_all_around(library):
-    config = replace(CONFIG, bin_share=0.0, ring_share=1.0, judged=1, perturbed=0, objects=(2, 2))
+    config = replace(
+        CONFIG, bin_share=0.0, views=ViewShares(1.0), judged=1, perturbed=0, objects=(2, 2)
+    )
     record = build_scene(5, config, library, OBJECTS)
     assert record.bin_inner is None and record_problems(record) == []
-    top = build_scene(5, replace(config, ring_share=0.0), library, OBJECTS)
+    top = build_scene(5, replace(config, views=ViewShares(0.0)), library, OBJECTS)
     assert frozen(record.object_poses) == frozen(top.object_poses)
 
     def sides(one: SceneRecord) -> int:

@@ -348,7 +348,7 @@ def test_wrong_command_lines_are_exit_code_2(capsys, args):
     [
         (), ("demo",), ("synthesize",), ("gripper",), ("gripper", "check"), ("train",), ("bench",),
         ("objects", "generate"), ("data", "grasps"), ("data", "scenes"), ("data", "pack"),
-        ("eval",),
+        ("eval",), ("data", "look"),
     ],
 )  # fmt: skip
 def test_help_has_an_example(capsys, args):

@@ -10,7 +10,6 @@ from megrasp_core.datasets import (
     GraspLibrary,
     GraspSet,
     ObjectSet,
-    library_stats,
     load_library,
     pack_library,
     procedural_names,
@@ -86,14 +85,6 @@ def test_thinning_keeps_successes_and_some_failures():
     assert thin.success.sum() == entry.success.sum()
     assert (~thin.success).sum() == 5
     np.testing.assert_array_equal(thin.successes, entry.successes)
-
-
-def test_stats_of_a_library():
-    library = GraspLibrary([grasp_set("jaw", "a", 10, 0), grasp_set("jaw", "b", 0, 1)])
-    stats = library_stats(library)["jaw"]
-    assert stats["objects"] == 2 and stats["objects_with_success"] == 1
-    assert stats["successes"] + stats["failures_kept"] == 10
-    assert stats["trials"] == 10 and stats["drawn"] == 30
 
 
 def test_wrong_files_are_named(tmp_path):

@@ -77,6 +77,7 @@ def test_drive_settles_in_both_postures(tmp_path: Path, seed: int, kind: str) ->
 
 @FEW
 @given(seed=SEEDS, kind=KINDS)
+@pytest.mark.usefixtures("no_cache")
 def test_clouds_differ_and_repeat(tmp_path: Path, seed: int, kind: str) -> None:
     folder = write_gripper(tmp_path, *sample_gripper(seed, kind))
     clouds, again = (load_gripper(folder).clouds(256) for _ in range(2))

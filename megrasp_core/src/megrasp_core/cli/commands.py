@@ -12,6 +12,7 @@ from .family import sample
 from .fidelity import fidelity
 from .frames import frames
 from .gripper import check, listed, render, show
+from .look import look
 from .objects import generate
 from .postures import postures
 from .rollouts import rollouts
@@ -47,6 +48,7 @@ def app() -> SubcommandApp:
         pack=pack,
         stats=stats,
         verify=verify,
+        look=look,
         samples=samples,
         rollouts=rollouts,
     )

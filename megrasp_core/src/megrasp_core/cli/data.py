@@ -28,6 +28,7 @@ def grasps(
     procedural: int = 60,
     assets: bool = True,
     target: int | None = None,
+    start: Path | None = None,
     executor: Executor = "local",
     address: str | None = None,
     workers: int = 1,
@@ -36,6 +37,7 @@ def grasps(
     """Label grasps of single objects in free space; a folder that exists is continued.
 
     Try: megrasp data grasps --out data/library --gripper robotiq_2f85 --workers 2
+         megrasp data grasps --out data/library --start models/grasp_library --workers 2
 
     Args:
         out: library folder.
@@ -44,16 +46,20 @@ def grasps(
         assets: take the train scans under MEGRASP_ASSETS as well, where it is set.
         target: successes, and as many failures, of an object and gripper; the generator's default
             without it.
+        start: library, such as a packed one, whose pairs are taken over, so that it is continued.
         executor: local processes or a Ray cluster.
         address: of the Ray cluster.
         workers: processes or tasks in flight.
         seed: of the candidates.
     """
-    from ..datasets import LabelSettings, LibraryConfig, generate_library
+    from ..datasets import LabelSettings, LibraryConfig, generate_library, load_library
+    from ..datasets.library import continue_library
 
     settings = LabelSettings() if target is None else LabelSettings(target=target)
     config = LibraryConfig(tuple(gripper), _objects(procedural, assets), seed, settings)
     where = _executor(executor, address, workers)
+    if start is not None:
+        say(f"{continue_library(load_library(start), out)} pairs taken over from {start}")
     with _bar("grasps") as tell:
         summary = generate_library(out, config, where, on_progress=tell)
     return _finished(summary, "pairs of object and gripper", out)
@@ -132,21 +138,72 @@ def pack(out: Path, into: Path | None = None) -> int:
     return 0
 
 
-def stats(out: Annotated[Path, tyro.conf.arg(aliases=["--data"])]) -> int:
-    """Counts of a data set or a library, as JSON.
+def stats(
+    out: Annotated[Path, tyro.conf.arg(aliases=["--data"])],
+    pictures: Path | None = None,
+    card: Path | None = None,
+    command: str | None = None,
+) -> int:
+    """Counts of a data set or a library, as JSON, and pictures of them.
 
-    Try: megrasp data stats --out data/scenes
+    Try: megrasp data stats --out data/library --pictures data/pictures --card data/card.md
 
     Args:
         out: folder of `data grasps` or `data scenes`, or a packed library.
+        pictures: folder to draw into: of a library yield.png, grippers_per_object.png, objects.png
+            and grasps.png, of scenes scenes.png.
+        card: markdown file to write about a library.
+        command: with --card, the command that made the library.
     """
-    from ..datasets import library_stats, load_library, scene_stats
-
+    if command is not None and card is None:
+        raise InvalidRequestError("--command was given without --card; expected both.")
     if (out / "manifest.json").is_file():
-        with progress_bar(None, "scenes") as bar:
-            emit(scene_stats(out, lambda done, total: bar.update()), None)
-    else:
-        emit(library_stats(load_library(out)), None)
+        if card is not None:
+            raise InvalidRequestError(
+                f"--card was given and {out} holds scenes; expected a grasp library."
+            )
+        return _scene_stats(out, pictures)
+    return _library_stats(out, pictures, card, command)
+
+
+def _scene_stats(out: Path, pictures: Path | None) -> int:
+    from ..datasets import scene_stats
+
+    with progress_bar(None, "scenes") as bar:
+        content = scene_stats(out, lambda done, total: bar.update())
+    emit(content, None)
+    if pictures is not None:
+        from ..evaluation.data_charts import draw_scene_stats
+
+        say(f"wrote {draw_scene_stats(content, pictures / 'scenes.png')}")
+    return 0
+
+
+def _library_stats(
+    out: Path, pictures: Path | None, card: Path | None, command: str | None
+) -> int:
+    from ..datasets import ObjectSet, library_card, library_stats, load_library, object_facts
+
+    library, objects = load_library(out), ObjectSet(())
+    names = sorted({entry.object_name for entry in library})
+    with progress_bar(len(names), "objects") as bar:
+        facts, missing = object_facts(names, objects, bar.update)
+    content = library_stats(library, facts)
+    emit(content, None)
+    if pictures is not None:
+        from ..evaluation.library_pictures import library_pictures
+
+        drawn, notes = library_pictures(
+            library, content, facts, missing, pictures, objects=objects
+        )
+        for file in drawn:
+            say(f"wrote {file}")
+        for note in notes:
+            say(f"note: {note}")
+    if card is not None:
+        card.parent.mkdir(parents=True, exist_ok=True)
+        card.write_text(library_card(content, command))
+        say(f"wrote {card}")
     return 0
 
 

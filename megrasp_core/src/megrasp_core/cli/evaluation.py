@@ -128,7 +128,7 @@ def evaluation(
 def bench(
     out: Path | None = None,
     device: Literal["cpu", "cuda"] = "cpu",
-    stage: Literal["synthesis"] = "synthesis",
+    stage: Literal["synthesis", "render", "data"] = "synthesis",
     gripper: str = "robotiq_2f85",
     model: str | None = None,
     threads: int | None = None,
@@ -136,20 +136,41 @@ def bench(
 ) -> int:
     """Seconds, CPU-seconds and memory of a synthesis, from cloud to ranked list.
 
+    Or CPU-seconds: `render`, to render the open and closed cloud of all registered and of 50
+    procedural grippers; `data`, rates of the data generator for the grippers that are trained.
+
     Try:
       megrasp bench --threads 2 --out bench.json
+      megrasp bench --stage render --out render.json
+      megrasp bench --stage data --out data.json
 
     Args:
         out: result file (JSON); by default printed.
         device: cpu or cuda.
         stage: what is timed.
-        gripper: name or folder.
-        model: id or folder.
-        threads: torch threads.
+        gripper: name or folder (synthesis).
+        model: id or folder (synthesis).
+        threads: torch threads (synthesis); rendering takes one.
         repeats: timed calls per row.
     """
     if repeats < 1:
         raise InvalidRequestError(f"--repeats {repeats} was given; expected at least 1.")
+    if stage == "render":
+        from ..evaluation.render_bench import bench_rendering
+
+        with progress_bar(None, stage) as bar:
+            content = bench_rendering(
+                repeats=repeats, on_progress=lambda done, _: bar.update(done - bar.n)
+            )
+        emit(content, out)
+        return 0
+    if stage == "data":
+        from ..evaluation.bench_data import GRIPPERS, bench_data
+
+        with progress_bar(len(GRIPPERS), stage) as bar:
+            content = bench_data(GRIPPERS, on_progress=lambda done, _: bar.update(done - bar.n))
+        emit(content, out)
+        return 0
     from ..evaluation.bench import bench_synthesis
     from ..synthesizer import GraspSynthesizer
 

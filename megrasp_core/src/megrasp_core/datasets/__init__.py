@@ -10,7 +10,6 @@ from megrasp_core.datasets.candidates import (
 )
 from megrasp_core.datasets.executors import ExecutorConfig, Progress, RunSummary, run_units
 from megrasp_core.datasets.inspection import (
-    library_stats,
     record_problems,
     scene_stats,
     verify_dataset,
@@ -21,13 +20,15 @@ from megrasp_core.datasets.labelling import (
     generate_library,
     label_object,
 )
-from megrasp_core.datasets.layout import Layout, SceneConfig, draw_layout
+from megrasp_core.datasets.layout import Layout, SceneConfig, ViewShares, draw_layout
 from megrasp_core.datasets.library import (
     GraspLibrary,
     load_library,
     pack_library,
     write_grasp_set,
 )
+from megrasp_core.datasets.library_card import library_card
+from megrasp_core.datasets.library_facts import ObjectFacts, library_stats, object_facts
 from megrasp_core.datasets.object_set import (
     ObjectSet,
     asset_names,
@@ -51,6 +52,7 @@ __all__ = [
     "LabelSettings",
     "Layout",
     "LibraryConfig",
+    "ObjectFacts",
     "ObjectSet",
     "ObjectSurface",
     "Progress",
@@ -59,6 +61,7 @@ __all__ = [
     "SceneDataset",
     "SceneJob",
     "SceneRecord",
+    "ViewShares",
     "SceneWriter",
     "antipodal",
     "asset_names",
@@ -67,8 +70,10 @@ __all__ = [
     "generate_library",
     "generate_scenes",
     "label_object",
+    "library_card",
     "library_stats",
     "load_library",
+    "object_facts",
     "pack_library",
     "procedural_names",
     "read_recipes",

@@ -228,7 +228,8 @@ def _ray(
     function: Callable[[U], R], units: Sequence[U], config: ExecutorConfig
 ) -> Generator[_Outcome, None, None]:
     try:
-        import ray  # type: ignore[import-not-found]
+        import ray
+        from ray.exceptions import WorkerCrashedError
     except ImportError as error:
         raise DataError(
             "the executor 'ray' was given, but the package ray is not installed; expected an "
@@ -258,7 +259,7 @@ def _ray(
                 unit = flight.pop(reference)
                 try:
                     result = ray.get(reference)
-                except ray.exceptions.WorkerCrashedError:
+                except WorkerCrashedError:
                     yield unit, None, f"its process died {config.attempts} times"
                 except Exception as error:
                     # Ray wraps what the unit raised.

@@ -1,5 +1,5 @@
-"""Counts and checks of a scene data set on disk: what `megrasp data stats` and `megrasp data verify`
-report.
+"""Counts and checks of a scene data set on disk: what `megrasp data stats` and `megrasp data
+verify` report.
 """
 
 from __future__ import annotations

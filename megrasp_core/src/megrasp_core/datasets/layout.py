@@ -11,14 +11,40 @@ from numpy.typing import NDArray
 
 from megrasp_core.datasets.candidates import CandidateSettings
 from megrasp_core.datasets.object_set import ObjectSet, balanced_shares, obstacle_name
-from megrasp_core.errors import SimulationError
+from megrasp_core.errors import DataError, SimulationError
 from megrasp_core.lie.pose import matrix_from_pose7, pose7_from_matrix
 from megrasp_core.pointcloud import OrientedBox, SceneSettings
-from megrasp_core.simulation import Bin, settle
+from megrasp_core.simulation import Bin, DepthNoise, ViewName, settle
 
 GRAVITY = (0.0, 0.0, -1.0)
 LAYOUT, CAMERA, LABELS = 0, 1, 2
 """Streams of randomness of a scene: what changes in one leaves the others alone."""
+
+
+@dataclass(frozen=True)
+class ViewShares:
+    """Shares of the views of `ViewName`; what is left of 1 is top-down.
+
+    Raises:
+        DataError: a share below 0, or more than 1 in all.
+    """
+
+    dense: float = 0.3
+    sparse: float = 0.0
+
+    def __post_init__(self) -> None:
+        if min(self.dense, self.sparse) < 0 or self.dense + self.sparse > 1:
+            raise DataError(
+                f"shares of views dense {self.dense} and sparse {self.sparse} were given; "
+                "expected numbers of 0 or more with a sum of at most 1."
+            )
+
+    def drawn(self, rng: np.random.Generator) -> ViewName:
+        """One view."""
+        chance = rng.random()
+        if chance < self.dense:
+            return "dense"
+        return "sparse" if chance < self.dense + self.sparse else "top_down"
 
 
 @dataclass(frozen=True)
@@ -36,8 +62,8 @@ class SceneConfig:
         camera_height, camera_shift, camera_tilt: camera over the origin, and how far its pose
             varies.
         image: width and height in pixels.
-        ring_share: share of table scenes that ten cameras around see, as in the paper's dense
-            clouds.
+        views: how table scenes are looked at; bins are seen from above.
+        noise: of the depth cameras; None for none.
         surface: preprocessing, the same as at inference.
         tilt_bin, tilt_table: steepest approach against straight down that is kept.
         approach: length of the approach path that must be free in bins.
@@ -68,7 +94,8 @@ class SceneConfig:
     camera_shift: float = 0.03
     camera_tilt: float = np.deg2rad(4.0)
     image: tuple[int, int] = (640, 480)
-    ring_share: float = 0.3
+    views: ViewShares = field(default_factory=ViewShares)
+    noise: DepthNoise | None = field(default_factory=DepthNoise)
     surface: SceneSettings = field(default_factory=SceneSettings)
     tilt_bin: float = np.deg2rad(60.0)
     tilt_table: float = np.deg2rad(95.0)

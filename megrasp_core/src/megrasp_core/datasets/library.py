@@ -24,6 +24,7 @@ from megrasp_core.datasets.files import (
 )
 from megrasp_core.datasets.records import GraspSet
 from megrasp_core.errors import DataError
+from megrasp_core.grippers import load_gripper
 
 _METRE = 1e-5
 _QUATERNION = 32767.0
@@ -78,6 +79,23 @@ def write_grasp_set(folder: Path, entry: GraspSet) -> Path:
     path = pair_file(folder, entry.gripper, entry.object_name)
     write_npz(path, _arrays([entry]))
     return path
+
+
+def continue_library(library: GraspLibrary, folder: Path) -> int:
+    """Writes the pairs that `folder` lacks, so that generation goes on from them; their number.
+
+    Pairs of another version of a gripper are left out, since they would be made otherwise now.
+    """
+    hashes = {name: load_gripper(name).hash for name in library.grippers}
+    taken = [
+        entry
+        for entry in library
+        if entry.gripper_hash == hashes[entry.gripper]
+        and not pair_file(folder, entry.gripper, entry.object_name).exists()
+    ]
+    for entry in taken:
+        write_grasp_set(folder, entry)
+    return len(taken)
 
 
 def pack_library(library: GraspLibrary, folder: Path, *, limit: int = 15_000_000) -> int:

@@ -14,21 +14,21 @@ from megrasp_core.datasets.object_set import ObjectSet
 from megrasp_core.pointcloud import SurfaceCloud, surface_cloud
 from megrasp_core.simulation import (
     Camera,
-    DepthNoise,
     TopDownCamera,
     build_world,
     observe,
-    ring_cameras,
+    rig,
 )
 
 
 def scene_cameras(seed: int, config: SceneConfig, *, in_bin: bool) -> list[Camera]:
-    """The top-down camera of a scene, a little moved and tilted, or for some tables ten cameras
-    around.
+    """The cameras of a scene: over bins top-down, a little moved and tilted; over tables this or
+    another of the config's views.
     """
     rng = stream(seed, CAMERA)
-    if not in_bin and rng.random() < config.ring_share:
-        return ring_cameras()
+    view = "top_down" if in_bin else config.views.drawn(rng)
+    if view != "top_down":
+        return rig(view, rng)
     width, height = config.image
     nominal = TopDownCamera(config.camera_height, width_px=width, height_px=height)
     shift = rng.uniform(-1.0, 1.0, size=3) * config.camera_shift
@@ -52,7 +52,7 @@ def scene_surface(
     world.set_object_poses(layout.matrices)
     cameras = scene_cameras(seed, config, in_bin=layout.bin is not None)
     cloud = observe(
-        world, cameras if len(cameras) > 1 else cameras[0], DepthNoise(), stream(seed, CAMERA, 1)
+        world, cameras if len(cameras) > 1 else cameras[0], config.noise, stream(seed, CAMERA, 1)
     )
     return surface_cloud(
         cloud,

@@ -19,7 +19,6 @@ from megrasp_core.grippers import Gripper
 from megrasp_core.lie.pose import matrix_from_pose7
 from megrasp_core.pointcloud import grown_region
 from megrasp_core.simulation import World, approach_path, build_world, start_depths
-from megrasp_core.simulation.depth_grid import DepthGrid, GripperPoints
 
 MAX_DEPTH = 0.001
 """Deepest penetration that still counts as free (m), as in the verdict."""
@@ -122,8 +121,6 @@ class SceneProposer:
         )
         if config.sleep:
             self.world.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
-        self._grid = DepthGrid.of(self.world)
-        self._points = GripperPoints.of(gripper)
         self._surfaces: dict[str, ObjectSurface] = {}
         self.tcp_from_gripper = np.linalg.inv(gripper.gripper_from_tcp)
 
@@ -200,25 +197,15 @@ class SceneProposer:
             return grasps
         pose = grasps.pose @ self.tcp_from_gripper
         reason = grasps.reason.copy()
-        reason[self._collides(pose)] = "start_collision"
+        reason[start_depths(self.world, pose) > MAX_DEPTH] = "start_collision"
         if self._layout.bin is not None:
             back = np.eye(4)
             back[2, 3] = -self._config.approach
             for index in np.flatnonzero(reason == ""):
                 path = approach_path(pose[index] @ back, pose[index])
-                if self._collides(path, one_is_enough=True).any():
+                if start_depths(self.world, path).max() > MAX_DEPTH:
                     reason[index] = "approach_collision"
         return replace(grasps, reason=reason)
-
-    def _collides(self, poses: Poses, *, one_is_enough: bool = False) -> NDArray[np.bool_]:
-        """(n,) whether the open gripper collides at poses (n, 4, 4); the exact test is for those
-        that the grid leaves. With `one_is_enough` nothing more is tested once one collides.
-        """
-        out = self._grid.collides(poses, self._points)
-        if not (one_is_enough and out.any()):
-            left = np.flatnonzero(~out)
-            out[left] = start_depths(self.world, poses[left]) > MAX_DEPTH
-        return out
 
     def _with_copies(self, poses: list[Poses], owners: list[int], *, library: bool) -> SceneGrasps:
         """The poses with their symmetric copies, without those that are too steep or out of the

@@ -16,7 +16,16 @@ from megrasp_core.evaluation.splat import View
 from megrasp_core.grippers import GripperClouds
 from megrasp_core.grippers.render import Mesh, raycasting_scene
 
-__all__ = ["CLOSED", "CLOSED_ALPHA", "OPEN", "SWEPT", "SWEPT_ALPHA", "raster"]
+__all__ = [
+    "CLOSED",
+    "CLOSED_ALPHA",
+    "OPEN",
+    "SWEPT",
+    "SWEPT_ALPHA",
+    "raster",
+    "reduced",
+    "solid",
+]
 
 OPEN = np.array([0.62, 0.68, 0.78])
 CLOSED = np.array([0.95, 0.55, 0.15])
@@ -30,7 +39,9 @@ SMOOTH = 8
 CREASE = 0.8
 """Neighbouring normals whose product is smaller have an edge between them."""
 DEPTH_STEP = 0.002
-"""Neighbouring depths that differ by more have an edge between them (m)."""
+"""Neighbouring depths that differ by more have an edge between them (m); surfaces seen at a
+slant in a small picture need more.
+"""
 ON_SURFACE = 1e-3
 """A point this little behind what is seen (m) is seen."""
 DOT = 1
@@ -40,11 +51,11 @@ def raster(motion: ClosingMotion, clouds: GripperClouds, view: View) -> NDArray[
     """Return the picture (H, W, 3), 0..1, of a motion: the open gripper solid, the closed fingers
     and the swept region translucent, points of the clouds that are seen as dots.
     """
-    solid, depth = _solid(motion.meshes, view)
+    surface, depth = solid(motion.meshes, view, OPEN)
     image = np.ones((*depth.shape, 3))
     _blend(image, _smooth(np.isfinite(_depths(motion.swept, view)[0])), SWEPT, SWEPT_ALPHA)
     seen = np.isfinite(depth)
-    image[seen] = solid[seen]
+    image[seen] = surface[seen]
     _dots(image, clouds.open_points, depth, view, 0.4 * OPEN)
     closed, normals = _depths(motion.closed, view)
     mask = np.isfinite(closed)
@@ -55,7 +66,12 @@ def raster(motion: ClosingMotion, clouds: GripperClouds, view: View) -> NDArray[
     _blend(image, _outline(mask), 0.7 * CLOSED, 0.9)
     moved = np.linalg.norm(clouds.closed_displacement, axis=1) > STILL
     _dots(image, clouds.closed_points[moved], closed, view, 0.5 * CLOSED)
-    height, width = depth.shape
+    return reduced(image)
+
+
+def reduced(image: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the picture (H, W, 3), 0..1, of rays (SHARPNESS H, SHARPNESS W, 3)."""
+    height, width, _ = image.shape
     blocks = image.reshape(height // SHARPNESS, SHARPNESS, width // SHARPNESS, SHARPNESS, 3)
     return np.clip(blocks.mean(axis=(1, 3)), 0.0, 1.0)
 
@@ -79,16 +95,25 @@ def _dots(
     _blend(image, grown, colour, 0.8)
 
 
-def _solid(meshes: Sequence[Mesh], view: View) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return colour (H, W, 3) and depth (H, W) of a lit surface with its edges drawn."""
+def solid(
+    meshes: Sequence[Mesh],
+    view: View,
+    paint: NDArray[np.float64],
+    step: float = DEPTH_STEP,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return colour (H, W, 3) and depth (H, W), infinite where nothing is, of the rays on a lit
+    surface painted (3,), with its edges drawn; SHARPNESS rays a pixel in either direction.
+
+    Neighbouring depths that differ by more than `step` (m) have an edge between them.
+    """
     depth, normals = _depths(meshes, view)
-    colour = OPEN * (0.55 + 0.55 * _light(normals, view)[..., None])
+    colour = paint * (0.55 + 0.55 * _light(normals, view)[..., None])
     known = np.where(np.isfinite(depth), depth, 1.0)
-    jump = ndimage.maximum_filter(known, 3) - ndimage.minimum_filter(known, 3) > DEPTH_STEP
+    jump = ndimage.maximum_filter(known, 3) - ndimage.minimum_filter(known, 3) > step
     right = (normals * np.roll(normals, -1, axis=1)).sum(axis=-1) < CREASE
     below = (normals * np.roll(normals, -1, axis=0)).sum(axis=-1) < CREASE
-    _blend(colour, right | below, 0.45 * OPEN, 0.5)
-    _blend(colour, jump, 0.35 * OPEN, 0.9)
+    _blend(colour, right | below, 0.45 * paint, 0.5)
+    _blend(colour, jump, 0.35 * paint, 0.9)
     return colour, depth
 
 

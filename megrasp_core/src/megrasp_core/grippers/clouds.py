@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from megrasp_core.grippers.geometry import BodyMesh, posed
 from megrasp_core.grippers.render import Mesh, SurfaceSample, draw, farthest, render_cloud, visible
+from megrasp_core.grippers.thinning import thinned
 
 NEAR_TCP = 0.08
 # A wide gripper may open beyond 8 cm: then up to 1.5 times the nearest point counts as near.
@@ -58,8 +59,10 @@ def make_clouds(
 ) -> GripperClouds:
     """Render both postures from visual meshes; poses are gripper_from_body (nbody, 4, 4)."""
     bodies = np.array([mesh.body for mesh in meshes])
-    first = render_cloud(posed(list(meshes), open_poses), count, seed)
-    second = render_cloud(posed(list(meshes), closed_poses), count, seed)
+    light = thinned([(mesh.vertices, mesh.faces) for mesh in meshes])
+    meshes = [BodyMesh(mesh.body, *thin) for mesh, thin in zip(meshes, light, strict=True)]
+    first = render_cloud(posed(meshes, open_poses), count, seed)
+    second = render_cloud(posed(meshes, closed_poses), count, seed)
     return GripperClouds(
         first.points,
         first.normals,
@@ -113,8 +116,7 @@ def _moved(
     after: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Return where points (N, 3), known with poses `before`, lie with poses `after`."""
-    body = bodies[sample.mesh]
-    step = after[body] @ np.linalg.inv(before[body])
+    step = (after @ np.linalg.inv(before))[bodies[sample.mesh]]
     return np.einsum("nij,nj->ni", step[:, :3, :3], sample.points) + step[:, :3, 3]
 
 

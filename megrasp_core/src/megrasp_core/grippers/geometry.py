@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import mujoco
 import numpy as np
@@ -10,8 +12,13 @@ import trimesh
 from numpy.typing import NDArray
 
 from megrasp_core.grippers.model import COLLISION_GROUP, VISUAL_GROUP
+from megrasp_core.grippers.render import Mesh
 
 SECTIONS = 24
+GEOMETRY = (
+    *(f"geom_{name}" for name in ("group", "type", "size", "pos", "quat", "bodyid", "dataid")),
+    *(f"mesh_{name}" for name in ("vert", "vertadr", "vertnum", "face", "faceadr", "facenum")),
+)
 
 
 @dataclass(frozen=True)
@@ -35,12 +42,12 @@ def body_meshes(model: mujoco.MjModel, which: str) -> list[BodyMesh]:
         mesh = _geom_mesh(model, int(index), hull=which == "collision")
         if mesh is None:
             continue
+        vertices, faces = mesh
         rotation = np.zeros(9)
         mujoco.mju_quat2Mat(rotation, model.geom_quat[index])
-        vertices = np.asarray(mesh.vertices) @ rotation.reshape(3, 3).T + model.geom_pos[index]
-        out.append(
-            BodyMesh(int(model.geom_bodyid[index]), vertices, np.asarray(mesh.faces, np.int64))
-        )
+        vertices = vertices @ rotation.reshape(3, 3).T
+        vertices += model.geom_pos[index]
+        out.append(BodyMesh(int(model.geom_bodyid[index]), vertices, faces))
     return out
 
 
@@ -57,39 +64,62 @@ def body_poses(model: mujoco.MjModel, qpos: NDArray[np.float64]) -> NDArray[np.f
     return out
 
 
-def posed(
-    meshes: list[BodyMesh], poses: NDArray[np.float64]
-) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
+def posed(meshes: Sequence[BodyMesh], poses: NDArray[np.float64]) -> list[Mesh]:
     """Return (vertices (V, 3), faces (F, 3)) of every mesh in the gripper frame."""
     return [(m.vertices @ poses[m.body, :3, :3].T + poses[m.body, :3, 3], m.faces) for m in meshes]
 
 
-def _geom_mesh(model: mujoco.MjModel, index: int, hull: bool) -> trimesh.Trimesh | None:
-    """Return the mesh of a geom in its own frame, None for kinds without a finite surface."""
+def geometry_arrays(model: mujoco.MjModel) -> list[NDArray]:
+    """Return all of a model that its meshes are made from, for a hash of it."""
+    return [getattr(model, name) for name in GEOMETRY]
+
+
+def _geom_mesh(model: mujoco.MjModel, index: int, hull: bool) -> Mesh | None:
+    """Return vertices and faces of a geom in its own frame, None for kinds without a finite
+    surface.
+    """
     kind = mujoco.mjtGeom(int(model.geom_type[index]))
     size = model.geom_size[index]
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         return _asset_mesh(model, int(model.geom_dataid[index]), hull)
-    if kind == mujoco.mjtGeom.mjGEOM_BOX:
-        return trimesh.creation.box(extents=2.0 * size)
-    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        return trimesh.creation.cylinder(radius=size[0], height=2.0 * size[1], sections=SECTIONS)
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        mesh = trimesh.creation.capsule(
-            height=2.0 * size[1], radius=size[0], count=[SECTIONS, SECTIONS]
-        )
-        mesh.apply_translation(-mesh.bounds.mean(axis=0))
-        return mesh
-    if kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID):
+        return _capsule(float(size[0]), float(size[1]))
+    scale = {
+        mujoco.mjtGeom.mjGEOM_BOX: size,
+        mujoco.mjtGeom.mjGEOM_CYLINDER: size[[0, 0, 1]],
+        mujoco.mjtGeom.mjGEOM_SPHERE: size[[0, 0, 0]],
+        mujoco.mjtGeom.mjGEOM_ELLIPSOID: size,
+    }.get(kind)
+    if scale is None:
+        return None
+    vertices, faces = _unit_mesh(kind)
+    return vertices * scale, faces
+
+
+@lru_cache
+def _unit_mesh(kind: mujoco.mjtGeom) -> Mesh:
+    """Return the mesh of a geom of size 1."""
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        mesh = trimesh.creation.box(extents=(2.0, 2.0, 2.0))
+    elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        mesh = trimesh.creation.cylinder(radius=1.0, height=2.0, sections=SECTIONS)
+    else:
         mesh = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
-        mesh.apply_scale(np.full(3, size[0]) if kind == mujoco.mjtGeom.mjGEOM_SPHERE else size)
-        return mesh
-    return None
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int64)
 
 
-def _asset_mesh(model: mujoco.MjModel, mesh: int, hull: bool) -> trimesh.Trimesh:
+@lru_cache(maxsize=256)
+def _capsule(radius: float, half: float) -> Mesh:
+    mesh = trimesh.creation.capsule(height=2.0 * half, radius=radius, count=[SECTIONS, SECTIONS])
+    mesh.apply_translation(-mesh.bounds.mean(axis=0))
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int64)
+
+
+def _asset_mesh(model: mujoco.MjModel, mesh: int, hull: bool) -> Mesh:
     first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
     vertices = model.mesh_vert[first : first + count].astype(np.float64)
+    if hull:
+        convex = trimesh.Trimesh(vertices).convex_hull
+        return np.asarray(convex.vertices), np.asarray(convex.faces, np.int64)
     start, number = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
-    out = trimesh.Trimesh(vertices, model.mesh_face[start : start + number], process=False)
-    return trimesh.Trimesh(vertices).convex_hull if hull else out
+    return vertices, model.mesh_face[start : start + number].astype(np.int64)

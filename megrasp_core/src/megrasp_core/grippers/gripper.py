@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from megrasp_core.errors import InvalidRequestError
+from megrasp_core.grippers.cache import recalled
 from megrasp_core.grippers.clouds import (
     GripperClouds,
     GripperTokens,
@@ -20,9 +21,16 @@ from megrasp_core.grippers.clouds import (
     surface_points,
 )
 from megrasp_core.grippers.description import GripperDescription, load_description
-from megrasp_core.grippers.geometry import BodyMesh, body_meshes, body_poses, posed
+from megrasp_core.grippers.geometry import (
+    BodyMesh,
+    body_meshes,
+    body_poses,
+    geometry_arrays,
+    posed,
+)
 from megrasp_core.grippers.model import build_spec, compile_spec
 from megrasp_core.grippers.posture import Posture, resolve_posture
+from megrasp_core.grippers.render import RENDERER
 
 POSTURES = ("open", "closed")
 TOKEN_CLOUD = 1024
@@ -33,8 +41,8 @@ class Gripper:
     2.
 
     Loading compiles the model and checks the whole description, so a Gripper that exists is valid.
-    Results that cost time are kept on the instance; it holds no other state and may be shared
-    between threads that only read.
+    Results that cost time are kept on the instance, clouds and collision points also on disk
+    (`cache.py`); it holds no other state and may be shared between threads that only read.
 
     Raises:
         DescriptionError: model, joints, actuators, links or postures do not fit each other.
@@ -205,12 +213,13 @@ class Gripper:
     def _make_clouds(self, count: int, seed: int) -> GripperClouds:
         if count < 1:
             raise InvalidRequestError(f"count is {count}; expected at least 1 point")
-        return make_clouds(
-            self.body_meshes("visual"),
-            self.body_poses("open"),
-            self.body_poses("closed"),
-            count,
-            seed,
+        poses = self.body_poses("open"), self.body_poses("closed")
+        return GripperClouds(
+            **recalled(
+                "clouds",
+                (RENDERER, count, seed, *poses, *geometry_arrays(self.model)),
+                lambda: vars(make_clouds(self.body_meshes(), *poses, count, seed)),
+            )
         )
 
     def _make_tokens(self, count: int, seed: int) -> GripperTokens:
@@ -225,7 +234,14 @@ class Gripper:
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         if spacing <= 0.0:
             raise InvalidRequestError(f"spacing is {spacing}; expected more than 0 m")
-        meshes = self.body_meshes("collision")
-        sample = surface_points(posed(meshes, self.body_poses("open")), spacing)
-        bodies = np.array([mesh.body for mesh in meshes])
-        return sample.points, self.finger_groups[bodies[sample.mesh]]
+        poses = self.body_poses("open")
+
+        def make() -> dict[str, NDArray]:
+            meshes = self.body_meshes("collision")
+            sample = surface_points(posed(meshes, poses), spacing)
+            bodies = np.array([mesh.body for mesh in meshes])
+            return {"points": sample.points, "bodies": bodies[sample.mesh]}
+
+        inputs = (RENDERER, spacing, poses, *geometry_arrays(self.model))
+        found = recalled("collision_points", inputs, make)
+        return found["points"], self.finger_groups[found["bodies"]]

@@ -13,10 +13,13 @@ from megrasp_core.simulation.clutter import (
     deepest_contact,
     settle,
 )
-from megrasp_core.simulation.depth_noise import DepthNoise
+from megrasp_core.simulation.depth_noise import EFFECTS, DepthNoise
 from megrasp_core.simulation.free_space import FreeSpaceResult, FreeSpaceRig, FreeSpaceSettings
+from megrasp_core.simulation.light import Light
 from megrasp_core.simulation.motion import Shake
+from megrasp_core.simulation.noise_presets import NOISES, noise_named
 from megrasp_core.simulation.rendering import Snapshot, observe, render_depth, render_view
+from megrasp_core.simulation.rigs import ViewName, rig, sparse_camera
 from megrasp_core.simulation.start_collision import approach_path, start_depths
 from megrasp_core.simulation.support import Bin
 from megrasp_core.simulation.verdict import Reason, TrialSettings, Verdict, judge
@@ -24,6 +27,8 @@ from megrasp_core.simulation.view import View
 from megrasp_core.simulation.world import World, WorldState, build_world
 
 __all__ = [
+    "EFFECTS",
+    "NOISES",
     "Bin",
     "Camera",
     "ClutterSettings",
@@ -31,6 +36,7 @@ __all__ = [
     "FreeSpaceResult",
     "FreeSpaceRig",
     "FreeSpaceSettings",
+    "Light",
     "Reason",
     "SettledScene",
     "Shake",
@@ -39,6 +45,7 @@ __all__ = [
     "TrialSettings",
     "Verdict",
     "View",
+    "ViewName",
     "World",
     "WorldState",
     "approach_path",
@@ -47,10 +54,13 @@ __all__ = [
     "depth_to_points",
     "judge",
     "look_at",
+    "noise_named",
     "observe",
     "render_depth",
     "render_view",
+    "rig",
     "ring_cameras",
     "settle",
+    "sparse_camera",
     "start_depths",
 ]

@@ -65,12 +65,12 @@ class FreeSpaceResult:
 
 
 def label_timestep(gripper: Gripper) -> float:
-    """Timestep (s) of the gripper's labels: 4 ms for parallel jaws, 3 ms for all others.
+    """Timestep (s) of the gripper's labels: 4 ms, for hands 3 ms.
 
-    Measured against 2 ms on the same grasps (`megrasp bench --stage data`): labels agree as often
-    as those of two runs at 2 ms whose grasps differ by 0.05 mm.
+    `megrasp bench --stage data` measures how often labels are those of 2 ms on the same grasps,
+    and how often two runs at 2 ms agree whose grasps differ by 0.05 mm.
     """
-    return 0.004 if gripper.description.kind == "parallel" else 0.003
+    return 0.003 if gripper.description.kind == "hand" else 0.004
 
 
 class FreeSpaceRig:

@@ -17,6 +17,7 @@ from megrasp_core.errors import InvalidRequestError
 from megrasp_core.pointcloud import Cloud
 from megrasp_core.simulation.camera import Camera, depth_to_points
 from megrasp_core.simulation.depth_noise import DepthNoise
+from megrasp_core.simulation.light import Light
 from megrasp_core.simulation.support import SCENERY_COLOUR
 from megrasp_core.simulation.view import View
 from megrasp_core.simulation.world import SCENERY, World
@@ -39,6 +40,7 @@ class Snapshot:
     def __init__(self, world: World) -> None:
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
         owners: list[int] = []
+        inward: list[NDArray[np.float64]] = []
         poses = world.object_poses()
         for index in world.present:
             model, pose = world.objects[index], poses[index]
@@ -48,9 +50,12 @@ class Snapshot:
             square = _CORNERS[:4] * [TABLE_HALF, TABLE_HALF, 0.0]
             self._add(square, np.array([[0, 1, 2], [1, 3, 2]]))
             owners.append(SCENERY)
+        self._first_wall = len(owners)
         for centre, half in world.bin.wall_boxes() if world.bin is not None else ():
             self._add(_CORNERS * half + centre, _BOX_FACES)
             owners.append(SCENERY)
+            inward.append(-centre * [1.0, 1.0, 0.0] / np.linalg.norm(centre[:2]))
+        self._inward = np.array(inward, dtype=np.float32).reshape(-1, 3)
         self._owners = np.array([*owners, SCENERY], dtype=np.int32)
 
     def _add(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
@@ -72,11 +77,28 @@ class Snapshot:
         normals = hit["primitive_normals"].numpy()
         missed = ~np.isfinite(depth) | (depth > camera.far)
         depth = np.where(missed, np.float32(0.0), depth)
-        owner = self._owners[np.minimum(hit["geometry_ids"].numpy(), len(self._owners) - 1)]
+        geometry = np.minimum(hit["geometry_ids"].numpy(), len(self._owners) - 1)
+        owner = self._owners[geometry]
         owner[missed] = SCENERY
-        cosine = np.abs(np.einsum("hwk,hwk->hw", normals, rays[..., 3:]))
+        along = np.einsum("hwk,hwk->hw", normals, rays[..., 3:])
+        cosine = np.abs(along)
         cosine /= np.linalg.norm(rays[..., 3:], axis=-1)
-        return View(depth, owner, np.where(missed, np.float32(1.0), cosine))
+        incidence = np.where(missed, np.float32(1.0), cosine)
+        normals = np.where(along[..., None] > 0, -normals, normals)
+        wall = self._walls_inside(np.where(missed, 0, geometry), normals)
+        return View(depth, owner, incidence, normals, wall, camera.focal)
+
+    def _walls_inside(
+        self, geometry: NDArray[np.integer], normals: NDArray[np.float32]
+    ) -> NDArray[np.int32]:
+        wall = geometry.astype(np.int32) - self._first_wall
+        wall[(wall < 0) | (wall >= len(self._inward))] = -1
+        rows, columns = np.nonzero(wall >= 0)
+        index = wall[rows, columns]
+        # Rim and outside of a wall look another way.
+        facing = np.einsum("nk,nk->n", normals[rows, columns], self._inward[index])
+        wall[rows, columns] = np.where(facing > 0.5, index, -1)
+        return wall
 
 
 def render_view(world: World, camera: Camera) -> View:
@@ -94,16 +116,19 @@ def observe(
     camera: Camera | Sequence[Camera],
     noise: DepthNoise | None = None,
     rng: np.random.Generator | None = None,
+    light: Light | None = None,
 ) -> Cloud:
     """Cloud in the world frame of what one or several cameras see; the gripper is never in it.
 
     rng is needed with noise (InvalidRequestError without). The cloud's viewpoint is the camera's
     position (3,), for several cameras that of the one that saw each point (N, 3). Colours are the
-    mean colours of the objects.
+    mean colours of the objects; with `light`, as they look in it.
     """
     cameras = [camera] if isinstance(camera, Camera) else list(camera)
     snapshot = Snapshot(world)
     palette = np.array([*(model.colour for model in world.objects), SCENERY_COLOUR[:3]])
+    if light is not None:
+        palette = light.painted(palette)
     points, colors, origins = [], [], []
     for one in cameras:
         view = snapshot.view(one)
@@ -113,7 +138,11 @@ def observe(
                 raise InvalidRequestError("noise was given without rng; pass a seeded generator")
             depth = noise.apply(view, rng)
         points.append(depth_to_points(depth, one))
-        colors.append(palette[view.owner[depth > 0]])
+        seen = depth > 0
+        color = palette[view.owner[seen]]
+        if light is not None and view.normals is not None:
+            color = light.shaded(color, view.normals[seen])
+        colors.append(color)
         origins.append(np.broadcast_to(one.position, points[-1].shape))
     viewpoint = cameras[0].position if len(cameras) == 1 else np.concatenate(origins)
     return Cloud(np.concatenate(points), np.concatenate(colors), viewpoint)

@@ -1,0 +1,115 @@
+"""Counts of a grasp library, checked by hand, and the card that tells them."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from made_library import made_library
+
+from megrasp_core.datasets import (
+    GraspLibrary,
+    ObjectFacts,
+    ObjectSet,
+    asset_names,
+    library_card,
+    library_stats,
+    object_facts,
+)
+
+CUP = ObjectFacts("asset/train/nowhere/cup", "nowhere", (0.04, 0.05, 0.09), 0.12, "CC BY 4.0")
+CAN = ObjectFacts("asset/train/nowhere/can", "nowhere", (0.06, 0.06, 0.10), 0.30, "CC BY 4.0")
+
+
+def test_counts_of_a_library():
+    stats = library_stats(made_library())
+    assert json.loads(json.dumps(stats)) == stats
+    franka, robotiq = stats["grippers"]["franka_hand"], stats["grippers"]["robotiq_2f85"]
+    assert franka.pop("mean_quality") == pytest.approx(0.3)
+    assert franka == {
+        "objects": 3,
+        "objects_with_success": 2,
+        "objects_complete": 1,
+        "successes": 104,
+        "failures_kept": 103,
+        "trials": 225,
+        "drawn": 442,
+        "start_collisions": 217,
+        "yield": 104 / 442,
+        "held_of_trials": 104 / 225,
+        "failures_by_reason": {"slipped": 102, "no_contact": 1},
+        "hashes": ["hash of franka_hand"],
+    }
+    assert robotiq["objects_with_success"] == 1 and robotiq["objects_complete"] == 0
+    assert robotiq["yield"] == 2 / 13 and robotiq["held_of_trials"] == 1.0
+    total = {key: stats[key] for key in ("pairs", "pairs_with_success", "pairs_complete")}
+    assert total == {"pairs": 5, "pairs_with_success": 3, "pairs_complete": 1}
+    assert (stats["objects"], stats["objects_of_all_grippers"]) == (3, 2)
+    assert stats["sources"] == {"nowhere": 1, "procedural": 2}
+    assert (stats["successes"], stats["failures_kept"], stats["drawn"]) == (106, 103, 455)
+    assert (stats["trials"], stats["start_collisions"]) == (227, 228)
+    assert stats["grippers_able"] == {
+        "asset/train/nowhere/cup": {"able": 1, "labelled": 2},
+        "procedural/000000": {"able": 2, "labelled": 2},
+        "procedural/000003": {"able": 0, "labelled": 1},
+    }
+
+
+def test_an_empty_library_has_no_rates():
+    stats = library_stats(GraspLibrary())
+    assert stats["pairs"] == stats["objects"] == stats["objects_of_all_grippers"] == 0
+    assert stats["grippers"] == {} and stats["sizes"] == {"objects": 0}
+
+
+def test_sizes_and_terms_of_the_objects():
+    stats = library_stats(made_library(), [CUP, CAN])
+    assert stats["sizes"] == {
+        "objects": 2,
+        "smallest_extent": {"min": 0.04, "median": 0.05, "max": 0.06},
+        "largest_extent": {"min": 0.09, "median": pytest.approx(0.095), "max": 0.10},
+        "mass": {"min": 0.12, "median": pytest.approx(0.21), "max": 0.30},
+    }
+    assert stats["terms"] == {"nowhere": ["CC BY 4.0"]}
+
+
+def test_objects_that_cannot_be_loaded_are_named(monkeypatch):
+    monkeypatch.delenv("MEGRASP_ASSETS", raising=False)
+    names = ["procedural/000001", "asset/train/ycb/cup", "nonsense"]
+    seen = []
+    facts, missing = object_facts(names, on_progress=lambda: seen.append(1))
+    assert missing == names[1:] and len(seen) == 3
+    model = ObjectSet(())["procedural/000001"]
+    assert [fact.name for fact in facts] == names[:1]
+    assert facts[0].extents == tuple(sorted(model.extents)) and facts[0].mass == model.mass
+    assert facts[0].source == "procedural" and "Apache-2.0" in facts[0].terms
+
+
+def test_terms_of_scans_come_from_their_folders(assets):
+    name = next(name for name in asset_names("train") if "/ycb/" in name)
+    facts, missing = object_facts([name])
+    assert not missing and facts[0].source == "ycb" and "CC BY 4.0" in facts[0].terms
+
+
+def test_the_card_tells_the_counts():
+    card = library_card(library_stats(made_library(), [CUP]))
+    assert "106 that hold and 103 that do not, of 2 grippers on 3 objects." in card
+    assert "Of 5 pairs of gripper and object, 3 have a success and 1 have" in card
+    row = next(line for line in card.splitlines() if line.startswith("| franka_hand"))
+    cells = [cell.strip() for cell in row.strip("|").split("|")]
+    assert cells[1:] == [
+        "3", "2", "1", "104", "103", "442", "24%", "46%", "0.30", "`hash of fran`",
+    ]  # fmt: skip
+    assert "| nowhere | 1 | CC BY 4.0 |" in card and "meshes are not included" in card
+    assert "| procedural | 2 | Apache-2.0" in card
+    assert "228 collided at the start, 227 went through the full trial" in card
+    assert "smallest edge of the\nbox around it 40, 40, 40 mm" in card
+    assert "--gripper franka_hand robotiq_2f85 --procedural 4\n" in card
+    assert "Free-space labels only" in card
+    assert "megrasp_core 0." in card and "MuJoCo " in card
+
+
+def test_the_card_has_the_command_that_is_given():
+    stats = library_stats(made_library())
+    card = library_card(stats, "megrasp data grasps --out here --target 7")
+    assert "megrasp data grasps --out here --target 7\n" in card
+    assert "--procedural 4" not in card and "could be loaded" not in card
