@@ -27,6 +27,9 @@ from megrasp_core.simulation import FreeSpaceResult, FreeSpaceRig, Reason
 STEP = 1.15
 """Factor by which moves grow or shrink."""
 
+SCALES = (0.2, 2.0)
+"""Smallest and largest moves, as a multiple of the first: what fails further away teaches little."""
+
 
 @dataclass(frozen=True)
 class LabelSettings:
@@ -106,7 +109,7 @@ def label_object(
         result = trials.attempt(near @ moved)
         # What always holds is moved further, until about one grasp in three does.
         if result.reason is not Reason.START_COLLISION:
-            scale = np.clip(scale * (STEP**2 if result.success else 1.0 / STEP), 0.2, 5.0)
+            scale = np.clip(scale * (STEP**2 if result.success else 1.0 / STEP), *SCALES)
     poses = np.array(trials.poses).reshape(-1, 4, 4) @ gripper.gripper_from_tcp
     entry = GraspSet(
         gripper=gripper.name,
