@@ -9,7 +9,6 @@ at the width of the pair (finger_span.py) come to lie on the pair's.
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -17,7 +16,7 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from megrasp_core.datasets.finger_span import FingerSpan
+from megrasp_core.datasets.finger_span import FingerSpan, hand_span
 
 if TYPE_CHECKING:
     from megrasp_core.grippers import Gripper
@@ -169,15 +168,9 @@ def opposing_pairs(
     return Pairs(origin, origin + directions[ray[chosen]] * distance[chosen, None])
 
 
-@functools.lru_cache(maxsize=16)
-def _span(gripper: Gripper) -> FingerSpan | None:
-    """Where the fingers of a hand meet; None for jaws, which close along +X at the TCP."""
-    return FingerSpan.of(gripper) if gripper.description.kind == "hand" else None
-
-
 def width_range(gripper: Gripper, settings: CandidateSettings) -> tuple[float, float]:
     """Distances between opposing points that the open gripper takes (m)."""
-    description, span = gripper.description, _span(gripper)
+    description, span = gripper.description, hand_span(gripper)
     widest = description.max_width
     if widest is None:
         widest = _HAND_WIDTH if span is None else min(_HAND_WIDTH, span.widest)
@@ -213,7 +206,7 @@ def antipodal(
     """
     settings = settings or CandidateSettings()
     surface = surface or ObjectSurface(model)
-    span = _span(gripper) if settings.finger_span else None
+    span = hand_span(gripper) if settings.finger_span else None
     widths = width_range(gripper, settings)
     found: list[Candidates] = []
     for _ in range(8):

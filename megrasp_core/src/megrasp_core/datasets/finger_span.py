@@ -9,6 +9,7 @@ and hands whose fingertips do not meet at the TCP are thus taken alike.
 from __future__ import annotations
 
 import copy
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -107,6 +108,12 @@ class FingerSpan:
             for table in (self.middle, self.axis)
         )
         return middle, axis / np.linalg.norm(axis, axis=1, keepdims=True)
+
+
+@functools.lru_cache(maxsize=16)
+def hand_span(gripper: Gripper) -> FingerSpan | None:
+    """Where the fingers of a hand meet; None for jaws, which close along +X at the TCP."""
+    return FingerSpan.of(gripper) if gripper.description.kind == "hand" else None
 
 
 def _closing(gripper: Gripper) -> list[NDArray[np.float64]]:
