@@ -28,7 +28,7 @@ STEP = 1.15
 """Factor by which moves grow or shrink."""
 
 SCALES = (0.2, 2.0)
-"""Smallest and largest moves, as a multiple of the first: what fails further away teaches little."""
+"""Smallest and largest moves as a multiple of the first; failures further away teach little."""
 
 
 @dataclass(frozen=True)
