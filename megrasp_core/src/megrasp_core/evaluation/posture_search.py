@@ -30,7 +30,8 @@ evaluation draws from these seeds."""
 KEPT = 3
 """One in this many variations goes on to as many times the objects."""
 
-LABEL_TIMESTEP = 0.002
+FINAL_TIMESTEP = 0.002
+"""Of the final measurement (s), that of the verdict: finer than labels take."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class PostureSearchSettings:
         shrink: factor on `scale` from round to round.
         held_out: objects of the final measurement.
         held_out_candidates: grasps per object there.
-        timestep: of the search's trials (s); the final measurement takes that of labels.
+        timestep: of the search's trials (s); the final measurement takes `FINAL_TIMESTEP`.
         seed: of offsets and candidates.
     """
 
@@ -172,7 +173,7 @@ class PostureSearch:
 
     def _task(self, offsets: Offsets, seed: int, final: bool = False) -> Task:
         if final:
-            return Task(offsets, seed, self.settings.held_out_candidates, LABEL_TIMESTEP)
+            return Task(offsets, seed, self.settings.held_out_candidates, FINAL_TIMESTEP)
         return Task(offsets, seed, self.settings.candidates, self.settings.timestep)
 
     def _tally(self, offsets: Offsets, seeds: Sequence[int], final: bool = False) -> Tally:

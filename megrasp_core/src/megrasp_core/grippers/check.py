@@ -9,11 +9,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import open3d as o3d
-from numpy.typing import NDArray
 
 from megrasp_core.errors import DescriptionError
 from megrasp_core.grippers.compare import PAD_HALF_HEIGHT, opening, pad_displacement
-from megrasp_core.grippers.geometry import posed
 from megrasp_core.grippers.gripper import POSTURES, Gripper
 from megrasp_core.grippers.model import quiet_mujoco
 from megrasp_core.grippers.render import raycasting_scene
@@ -97,7 +95,7 @@ def _check_geometry(gripper: Gripper, result: GripperCheck) -> None:
             f"the TCP lies at x = {gripper.tcp[0]:.3f} m; expected it between finger group 1 at "
             f"{x[0]:.3f} m and group 2 at {x[1]:.3f} m"
         )
-    moved = [_motion(gripper, group) for group in (0, 1)]
+    moved = [pad_displacement(gripper, group) for group in (0, 1)]
     for group, step in enumerate(moved):
         result.measures[f"pad_closing_{group + 1}"] = float(step[0])
         result.measures[f"pad_forward_{group + 1}"] = float(step[2])
@@ -157,21 +155,6 @@ def _fingers_reach(gripper: Gripper, result: GripperCheck) -> bool:
             )
             return False
     return True
-
-
-def _motion(gripper: Gripper, group: int) -> NDArray[np.float64]:
-    """Return the mean displacement (3,) of a group's pad, of the whole group where the pad is at
-    the TCP's height only when closed.
-    """
-    pad = pad_displacement(gripper, group)
-    if np.isfinite(pad).all():
-        return pad
-    meshes = [m for m in gripper.body_meshes() if gripper.finger_groups[m.body] == group]
-    start, end = (
-        np.concatenate([vertices for vertices, _ in posed(meshes, gripper.body_poses(name))])
-        for name in POSTURES
-    )
-    return (end - start).mean(axis=0)
 
 
 def _check_couplings(gripper: Gripper, result: GripperCheck) -> None:

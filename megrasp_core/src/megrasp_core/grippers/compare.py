@@ -108,15 +108,14 @@ def pad_displacement(gripper: Gripper, group: int) -> NDArray[np.float64]:
     """Return the mean displacement (3,) from open to closed of a finger group's pad.
 
     The pad is the group's surface within 15 mm of the TCP's height and 10 mm of its innermost
-    point there; NaN where the open group does not come to that height.
+    point there; that which comes nearest to the TCP where the open group is not at that height.
     """
     start, way = _group_motion(gripper, group)
     level = np.abs(start[:, 2] - gripper.tcp[2]) < PAD_HALF_HEIGHT
+    if not level.any():
+        return way[_nearest_to_tcp(gripper, start, way)].mean(axis=0)
     inner = np.abs(start[:, 0] - gripper.tcp[0])
-    pad = level & (inner < inner[level].min(initial=np.inf) + PAD_DEPTH)
-    if not pad.any():
-        return np.full(3, np.nan)
-    return way[pad].mean(axis=0)
+    return way[level & (inner < inner[level].min() + PAD_DEPTH)].mean(axis=0)
 
 
 def _pad_motion_difference(gripper: Gripper, reference: Gripper, group: int) -> float:
@@ -125,13 +124,20 @@ def _pad_motion_difference(gripper: Gripper, reference: Gripper, group: int) -> 
     """
     start, way = _group_motion(gripper, group)
     there, way_there = _group_motion(reference, group)
+    pad = _nearest_to_tcp(gripper, start, way)
+    _, nearest = KDTree(there).query(start[pad])
+    return float(np.linalg.norm((way[pad] - way_there[nearest]).mean(axis=0)))
+
+
+def _nearest_to_tcp(
+    gripper: Gripper, start: NDArray[np.float64], way: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Which points (n, 3) come within 10 mm of the least distance to the TCP, open or closed."""
     reach = np.minimum(
         np.linalg.norm(start - gripper.tcp, axis=1),
         np.linalg.norm(start + way - gripper.tcp, axis=1),
     )
-    pad = reach < reach.min() + PAD_DEPTH
-    _, nearest = KDTree(there).query(start[pad])
-    return float(np.linalg.norm((way[pad] - way_there[nearest]).mean(axis=0)))
+    return reach < reach.min() + PAD_DEPTH
 
 
 def _group_motion(
