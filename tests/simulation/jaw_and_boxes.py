@@ -64,6 +64,11 @@ class Jaw:
             drive.set_to_position(kp=4000)
         return spec
 
+    @property
+    def model(self) -> mujoco.MjModel:
+        """Return the compiled model."""
+        return self.spec().compile()
+
     def control(self, which: str) -> np.ndarray:
         """Return the commands (2,) of a posture."""
         return np.array([-0.04, 0.04]) if which == "open" else np.zeros(2)

@@ -40,7 +40,6 @@ from megrasp_core.errors import DataError, InvalidRequestError
 from megrasp_core.grippers import Gripper, load_gripper
 from megrasp_core.lie.pose import matrix_from_pose7
 from megrasp_core.simulation import (
-    Bin,
     FreeSpaceRig,
     World,
     approach_path,
@@ -55,6 +54,7 @@ CONFIG = SceneConfig(
     ("robotiq_2f85",),
     objects=(3, 4),
     bin_share=1.0,
+    bin_tilted=0.0,
     obstacle_share=0.0,
     image=(320, 240),
     judged=4,
@@ -107,7 +107,7 @@ def world_of(scene: SceneRecord, gripper: Gripper) -> World:
     return build_world(
         [OBJECTS[name] for name in scene.object_names],
         gripper=gripper,
-        bin=None if scene.bin_inner is None else Bin(scene.bin_inner),
+        bin=scene.bin,
         object_poses=matrix_from_pose7(scene.object_poses.astype(float)),
         visual=False,
     )
@@ -175,7 +175,8 @@ def test_the_same_seed_gives_the_same_scene_bit_for_bit(scene, library):
 def test_a_record_is_sound_and_looks_like_its_scene(scene):
     assert record_problems(scene, {"robotiq_2f85"}) == []
     points, normals = scene.surface()
-    half = np.array(scene.bin_inner) / 2
+    assert scene.bin is not None
+    half = np.array(scene.bin.inner) / 2
     margin = CONFIG.surface.region_margin + 0.001
     assert (np.abs(points[:, :2]) <= half[:2] + margin).all()
     assert abs(np.median(points[scene.on_plane, 2])) < 0.003
@@ -240,7 +241,7 @@ def test_tables_have_no_bin_and_may_be_seen_from_all_around(library):
         CONFIG, bin_share=0.0, views=ViewShares(1.0), judged=1, perturbed=0, objects=(2, 2)
     )
     record = build_scene(5, config, library, OBJECTS)
-    assert record.bin_inner is None and record_problems(record) == []
+    assert record.bin is None and record_problems(record) == []
     top = build_scene(5, replace(config, views=ViewShares(0.0)), library, OBJECTS)
     assert frozen(record.object_poses) == frozen(top.object_poses)
 

@@ -34,7 +34,7 @@ def record() -> SceneRecord:
         object_names=("procedural/000003",),
         object_poses=pose7_from_matrix(pose[None]).astype(np.float32),
         obstacle=np.zeros(1, bool),
-        bin_inner=None,
+        bin=None,
         points=points,
         normals=np.tile([0, 0, 127], (len(points), 1)).astype(np.int8),
         on_plane=np.zeros(len(points), bool),

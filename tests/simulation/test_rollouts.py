@@ -55,7 +55,7 @@ def test_every_stage_is_a_scene_with_the_grasps_that_were_tried(folder):
         assert ((labels.reason == "") == (labels.label == 1)).all()
         assert (labels.object >= 0).all() and (labels.object < len(record.object_names)).all()
         assert record.obstacle.any() and len(record.obstacle) == len(record.object_poses)
-        assert record.bin_inner is not None and len(record.points) > 500
+        assert record.bin is not None and len(record.points) > 500
 
 
 def test_a_finished_bin_is_not_made_again(folder, synthesizer):

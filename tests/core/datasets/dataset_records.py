@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from megrasp_core.datasets import GripperLabels, Kind, SceneRecord
+from megrasp_core.simulation import Bin
 
 
 def labels(rng: np.random.Generator, count: int, objects: int) -> GripperLabels:
@@ -33,7 +34,7 @@ def record(seed: int, *, in_bin: bool = True) -> SceneRecord:
         object_names=("procedural/000001", "procedural/000002", "obstacle/000003"),
         object_poses=poses,
         obstacle=np.array([False, False, True]),
-        bin_inner=(0.4, 0.3, 0.15) if in_bin else None,
+        bin=Bin((0.4, 0.3, 0.15), 0.005, (0.03, -0.06), (0.1, 0.5, 0.9)) if in_bin else None,
         points=rng.normal(scale=0.1, size=(50, 3)).astype(np.float16),
         normals=np.rint(normals * 127).astype(np.int8),
         on_plane=rng.random(50) < 0.3,
@@ -49,7 +50,7 @@ def record(seed: int, *, in_bin: bool = True) -> SceneRecord:
 
 def assert_equal(first: SceneRecord, second: SceneRecord) -> None:
     """All fields equal bit for bit."""
-    for name in ("name", "seed", "object_names", "bin_inner"):
+    for name in ("name", "seed", "object_names", "bin"):
         assert getattr(first, name) == getattr(second, name)
     for name in (
         "object_poses",

@@ -114,11 +114,11 @@ def test_recipes_keep_object_poses_exactly_and_grasps_within_rounding(tmp_path):
     found = read_recipes(tmp_path / "recipes.npz")
     assert len(found) == 6
     for a, b in zip(records, found):
-        assert (a.name, a.seed, a.object_names, a.bin_inner) == (
+        assert (a.name, a.seed, a.object_names, a.bin) == (
             b.name,
             b.seed,
             b.object_names,
-            b.bin_inner,
+            b.bin,
         )
         assert a.object_poses.tobytes() == b.object_poses.tobytes()
         np.testing.assert_array_equal(a.obstacle, b.obstacle)

@@ -56,7 +56,7 @@ def record(seed: int) -> SceneRecord:
         object_names=("a", "b"),
         object_poses=np.zeros((2, 7), np.float32),
         obstacle=np.zeros(2, bool),
-        bin_inner=None,
+        bin=None,
         points=points.astype(np.float16),
         normals=np.tile([0, 0, 127], (400, 1)).astype(np.int8),
         on_plane=np.zeros(400, bool),

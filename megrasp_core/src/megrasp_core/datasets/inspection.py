@@ -33,7 +33,7 @@ def scene_stats(
     for index, record in enumerate(dataset):
         objects.append(len(record.object_names))
         points.append(len(record.points))
-        bins += record.bin_inner is not None
+        bins += record.bin is not None
         for name, labels in record.labels.items():
             entry = grippers.setdefault(
                 name,

@@ -56,6 +56,9 @@ class SceneConfig:
         objects: smallest and largest number of graspable objects.
         bin_share: share of scenes in a bin; the rest lie on a table.
         bin_inner: mean inner size of the bin; each edge is drawn within +-`bin_spread`.
+        bin_wall: thinnest and thickest walls.
+        bin_tilt: steepest tilt of a bin; below what `PlaneSettings` still takes for a floor.
+        bin_tilted: share of the bins that are tilted.
         table_region: size of the region of interest on a table.
         grippers_per_scene: so many of them, drawn anew for every scene, are labelled; None: all.
         obstacle_share: share of scenes with one to three obstacles.
@@ -87,6 +90,9 @@ class SceneConfig:
     bin_share: float = 0.75
     bin_inner: tuple[float, float, float] = (0.40, 0.30, 0.15)
     bin_spread: float = 0.2
+    bin_wall: tuple[float, float] = (0.003, 0.015)
+    bin_tilt: float = np.deg2rad(6.0)
+    bin_tilted: float = 0.5
     table_region: tuple[float, float, float] = (0.50, 0.40, 0.25)
     obstacle_share: float = 0.3
     grippers_per_scene: int | None = None
@@ -152,6 +158,20 @@ def region_of(bin: Bin | None, config: SceneConfig) -> OrientedBox:
     return OrientedBox(centre, np.array(config.table_region))
 
 
+def _draw_bin(inner: NDArray[np.float64], config: SceneConfig, rng: np.random.Generator) -> Bin:
+    tilt, around = config.bin_tilt * rng.random(), rng.uniform(-np.pi, np.pi)
+    upright = rng.random() >= config.bin_tilted
+    red, green, blue = np.round(rng.random(3), 3)
+    return Bin(
+        (float(inner[0]), float(inner[1]), float(inner[2])),
+        wall=float(np.round(rng.uniform(*config.bin_wall), 4)),
+        tilt=(0.0, 0.0)
+        if upright
+        else (float(tilt * np.cos(around)), float(tilt * np.sin(around))),
+        colour=(float(red), float(green), float(blue)),
+    )
+
+
 def draw_layout(
     seed: int, config: SceneConfig, objects: ObjectSet, *, attempts: int = 3
 ) -> Layout:
@@ -169,7 +189,7 @@ def draw_layout(
     in_bin = bool(rng.random() < config.bin_share)
     spread = rng.uniform(1 - config.bin_spread, 1 + config.bin_spread, size=3)
     inner = np.round(np.array(config.bin_inner) * spread, 4)
-    bin = Bin((float(inner[0]), float(inner[1]), float(inner[2]))) if in_bin else None
+    bin = _draw_bin(inner, config, stream(seed, LAYOUT, 1)) if in_bin else None
     obstacles = int(rng.integers(1, 4)) if rng.random() < config.obstacle_share else 0
     shares = balanced_shares(objects)
     for attempt in range(attempts):

@@ -18,11 +18,18 @@ from megrasp_core.datasets.files import open_npz, text_array, text_of, write_npz
 from megrasp_core.datasets.layout import Layout, SceneConfig, region_of
 from megrasp_core.datasets.object_set import ObjectSet
 from megrasp_core.datasets.observing import scene_surface
-from megrasp_core.datasets.records import GripperLabels, SceneRecord, pack_normals
+from megrasp_core.datasets.records import (
+    GripperLabels,
+    SceneRecord,
+    bin_fields,
+    bin_from_fields,
+    pack_normals,
+)
 from megrasp_core.errors import DataError
-from megrasp_core.simulation import Bin
 
-_FORMAT = "megrasp scene recipes 1"
+_FORMAT = "megrasp scene recipes 2"
+_READABLE = ("megrasp scene recipes 1", _FORMAT)
+"""The first keeps the inner size of a bin and nothing else of it."""
 _METRE = 2e-5
 _QUATERNION = 32767.0
 
@@ -39,7 +46,7 @@ def write_recipes(path: str | Path, records: Iterable[SceneRecord]) -> int:
                 "name": record.name,
                 "seed": record.seed,
                 "objects": list(record.object_names),
-                "bin": record.bin_inner,
+                "bin": bin_fields(record.bin),
                 "grippers": {name: len(record.labels[name]) for name in grippers},
             }
         )
@@ -93,8 +100,8 @@ def read_recipes(path: str | Path) -> list[SceneRecord]:
             raise DataError(
                 f"{path} holds no scene recipes ({error}). Give a recipe file."
             ) from error
-    if meta.get("format") != _FORMAT:
-        raise DataError(f"{path} has format {meta.get('format')!r}; expected {_FORMAT!r}.")
+    if meta.get("format") not in _READABLE:
+        raise DataError(f"{path} has format {meta.get('format')!r}; expected one of {_READABLE}.")
     norm = np.linalg.norm(grasp[:, 3:], axis=1, keepdims=True)
     grasp[:, 3:] /= np.maximum(norm, 1e-6)
     reason = np.array([*meta["reasons"], ""], np.str_)[arrays["reason"]]
@@ -112,7 +119,6 @@ def read_recipes(path: str | Path) -> list[SceneRecord]:
                 reason[part],
             )
             start += count
-        inner = scene["bin"]
         records.append(
             SceneRecord(
                 name=scene["name"],
@@ -120,7 +126,7 @@ def read_recipes(path: str | Path) -> list[SceneRecord]:
                 object_names=tuple(scene["objects"]),
                 object_poses=arrays["object_poses"][first:last],
                 obstacle=arrays["obstacle"][first:last],
-                bin_inner=None if inner is None else (inner[0], inner[1], inner[2]),
+                bin=bin_from_fields(scene["bin"]),
                 points=np.zeros((0, 3), np.float16),
                 normals=np.zeros((0, 3), np.int8),
                 on_plane=np.zeros(0, bool),
@@ -137,9 +143,12 @@ def with_cloud(recipe: SceneRecord, config: SceneConfig, objects: ObjectSet) -> 
     """The record of a recipe, its cloud rendered from the seed; equal to the original's with the
     same config.
     """
-    bin = None if recipe.bin_inner is None else Bin(recipe.bin_inner)
     layout = Layout(
-        recipe.object_names, recipe.obstacle, recipe.object_poses, bin, region_of(bin, config)
+        recipe.object_names,
+        recipe.obstacle,
+        recipe.object_poses,
+        recipe.bin,
+        region_of(recipe.bin, config),
     )
     surface = scene_surface(layout, recipe.seed, config, objects)
     return replace(

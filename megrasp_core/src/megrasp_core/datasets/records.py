@@ -6,11 +6,15 @@ metres; the TCP frame has +Z as approach and +X as closing axis (DESIGN section 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from megrasp_core.pointcloud import SceneNodes, SceneSettings, SurfaceCloud, scene_nodes
+from megrasp_core.simulation import Bin
 
 
 class Kind(IntEnum):
@@ -116,7 +120,7 @@ class SceneRecord:
         object_names: n names in the object set.
         object_poses: (n, 7) float32 `world_from_object`.
         obstacle: (n,) bool, objects that must not be lifted.
-        bin_inner: (3,) inner size of the bin (m), None for a table.
+        bin: None for a table.
         points: (M, 3) float16 preprocessed surface points in the world frame.
         normals: (M, 3) int8, 127 times the unit normal.
         on_plane: (M,) bool, points of the support plane.
@@ -130,7 +134,7 @@ class SceneRecord:
     object_names: tuple[str, ...]
     object_poses: NDArray[np.float32]
     obstacle: NDArray[np.bool_]
-    bin_inner: tuple[float, float, float] | None
+    bin: Bin | None
     points: NDArray[np.float16]
     normals: NDArray[np.int8]
     on_plane: NDArray[np.bool_]
@@ -143,6 +147,34 @@ class SceneRecord:
         normals = self.normals.astype(np.float64)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
         return self.points.astype(np.float64), normals
+
+    def nodes(self, settings: SceneSettings, seed: int = 0) -> SceneNodes:
+        """Nodes for the network: seed 0 gives those of inference, another one a random choice."""
+        points, normals = self.surface()
+        surface = SurfaceCloud(
+            points=points,
+            normals=normals,
+            on_plane=self.on_plane,
+            sensor=self.sensor.astype(np.float64),
+            gravity=self.gravity.astype(np.float64),
+            crop=points,
+            region=None,
+        )
+        return scene_nodes(surface, settings, seed)
+
+
+def bin_fields(bin: Bin | None) -> dict[str, Any] | None:
+    """A bin as JSON; back with `bin_from_fields`."""
+    return None if bin is None else asdict(bin)
+
+
+def bin_from_fields(value: Any) -> Bin | None:
+    """The bin of `bin_fields`, or of what the first format kept of one: its inner size alone."""
+    if value is None:
+        return None
+    if not isinstance(value, dict):
+        return Bin(tuple(value))
+    return Bin(tuple(value["inner"]), value["wall"], tuple(value["tilt"]), tuple(value["colour"]))
 
 
 def pack_normals(normals: NDArray[np.floating]) -> NDArray[np.int8]:

@@ -56,7 +56,7 @@ def build_scene(
         object_names=layout.object_names,
         object_poses=layout.object_poses,
         obstacle=layout.obstacle,
-        bin_inner=None if layout.bin is None else layout.bin.inner,
+        bin=layout.bin,
         points=surface.points.astype(np.float16),
         normals=pack_normals(surface.normals),
         on_plane=surface.on_plane,

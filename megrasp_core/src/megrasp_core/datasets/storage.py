@@ -28,10 +28,17 @@ from megrasp_core.datasets.files import (
     write_json,
     write_npz,
 )
-from megrasp_core.datasets.records import GripperLabels, SceneRecord
+from megrasp_core.datasets.records import (
+    GripperLabels,
+    SceneRecord,
+    bin_fields,
+    bin_from_fields,
+)
 from megrasp_core.errors import DataError
 
-FORMAT = 1
+FORMAT = 2
+READABLE = (1, 2)
+"""Format 1 keeps the inner size of a bin and nothing else of it."""
 
 
 def scene_name(seed: int) -> str:
@@ -50,7 +57,7 @@ def record_arrays(record: SceneRecord, prefix: str = "") -> dict[str, np.ndarray
         "name": record.name,
         "seed": record.seed,
         "object_names": list(record.object_names),
-        "bin_inner": record.bin_inner,
+        "bin": bin_fields(record.bin),
         "grippers": grippers,
         "counts": [len(part) for part in labels],
         "reasons": reasons,
@@ -88,14 +95,13 @@ def record_from_arrays(file: Any, prefix: str = "") -> SceneRecord:
             pose[part], owner[part], label[part], kind[part], reason[part]
         )
         start += count
-    inner = meta["bin_inner"]
     return SceneRecord(
         name=meta["name"],
         seed=int(meta["seed"]),
         object_names=tuple(meta["object_names"]),
         object_poses=file[prefix + "object_poses"],
         obstacle=file[prefix + "obstacle"],
-        bin_inner=None if inner is None else (inner[0], inner[1], inner[2]),
+        bin=bin_from_fields(meta["bin"] if "bin" in meta else meta["bin_inner"]),
         points=file[prefix + "points"],
         normals=file[prefix + "normals"],
         on_plane=file[prefix + "on_plane"],
@@ -235,10 +241,10 @@ class SceneDataset(Sequence[SceneRecord]):
 
 def _manifest(folder: Path) -> dict[str, Any]:
     manifest = read_json(folder / "manifest.json")
-    if manifest.get("format") != FORMAT:
+    if manifest.get("format") not in READABLE:
         raise DataError(
-            f"{folder} has format {manifest.get('format')!r}; expected {FORMAT}. Make the data "
-            "set again."
+            f"{folder} has format {manifest.get('format')!r}; expected one of {READABLE}. "
+            "Make the data set again."
         )
     return manifest
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
+from megrasp_core.simulation.idle import lock
 from megrasp_core.simulation.support import Bin, add_guard, add_support
 
 if TYPE_CHECKING:
@@ -131,13 +132,17 @@ def add_object(
         )
 
 
-def add_gripper(spec: mujoco.MjSpec, gripper: Gripper) -> None:
+def add_gripper(spec: mujoco.MjSpec, gripper: Gripper, *, locked: bool) -> None:
     """Attach the gripper to body "mount", dragged by mocap body "hand" through the weld "hand".
 
     The mount's frame is the gripper frame. Weight of mount and gripper is compensated, as an arm
     does. The gripper's geoms keep their own contact stiffness (weight `GRIPPER_SOLMIX`) but take
     friction from what they touch, so that one number, the object's, sets the friction of a trial.
+    locked: whether joints that a grasp does not move are fixed.
     """
+    model = gripper.spec()
+    if locked:
+        lock(model, gripper)
     spec.worldbody.add_body(name="hand", mocap=True)
     mount = spec.worldbody.add_body(name="mount", gravcomp=1.0)
     mount.add_freejoint(name="mount")
@@ -145,7 +150,7 @@ def add_gripper(spec: mujoco.MjSpec, gripper: Gripper) -> None:
     mount.mass = MOUNT_MASS
     mount.ipos = [0.0, 0.0, 0.0]
     mount.inertia = [0.002, 0.002, 0.002]
-    spec.attach(gripper.spec(), prefix=GRIPPER_PREFIX, frame=mount.add_frame())
+    spec.attach(model, prefix=GRIPPER_PREFIX, frame=mount.add_frame())
     weld = spec.add_equality(
         name="hand",
         type=mujoco.mjtEq.mjEQ_WELD,
@@ -189,6 +194,7 @@ def assemble(
     gravity: bool,
     visual: bool,
     guard: Guard | None,
+    locked: bool,
 ) -> mujoco.MjModel:
     """Compile the model; objects are "object_0".., arguments as of `build_world`."""
     spec = mujoco.MjSpec()
@@ -224,5 +230,5 @@ def assemble(
         )
         assets.setdefault(id(model), f"mesh_{index}")
     if gripper is not None:
-        add_gripper(spec, gripper)
+        add_gripper(spec, gripper, locked=locked)
     return spec.compile()

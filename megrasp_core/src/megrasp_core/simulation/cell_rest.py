@@ -61,5 +61,5 @@ def outside_bin(world: World) -> list[int]:
     """Objects whose centre is beyond the bin's outer edges; what lies on the rim is inside."""
     assert world.bin is not None
     half = np.asarray(world.bin.inner[:2]) / 2.0 + world.bin.wall
-    centres = world.object_poses()[:, :2, 3]
+    centres = (np.linalg.inv(world.bin.world_from_bin) @ world.object_poses())[:, :2, 3]
     return [i for i in world.present if (np.abs(centres[i]) > half).any()]

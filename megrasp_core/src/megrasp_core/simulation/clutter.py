@@ -8,7 +8,7 @@ A scene counts only when it rests and nothing is pressed into anything: see `Clu
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -95,16 +95,22 @@ def settle(
     """Release the objects in the order given into the bin, or onto the table without one.
 
     Objects that leave the bin (centre outside its inner edges) or the table square are dropped
-    from the scene. The same objects, generator state and settings give the same scene. A scene
-    that fails the checks is drawn anew up to `settings.attempts` times; the last one is returned
-    with ok False.
+    from the scene. In a tilted bin they settle in its frame, with gravity tilted instead. The same
+    objects, generator state and settings give the same scene. A scene that fails the checks is
+    drawn anew up to `settings.attempts` times; the last one is returned with ok False.
     """
     settings = settings or ClutterSettings()
     area = bin.inner[:2] if bin is not None else (2 * settings.table_edge,) * 2
     guard = Guard((area[0], area[1]), bottom=bin.inner[2] if bin is not None else 0.0)
     world = build_world(
-        objects, bin=bin, guard=guard, friction=friction, timestep=settings.timestep
+        objects,
+        bin=None if bin is None else replace(bin, tilt=(0.0, 0.0)),
+        guard=guard,
+        friction=friction,
+        timestep=settings.timestep,
     )
+    world_from_bin = np.eye(4) if bin is None else bin.world_from_bin
+    world.model.opt.gravity[:] = world_from_bin[:3, :3].T @ world.model.opt.gravity
     start = world.save()
     scene = None
     for attempt in range(1, max(1, settings.attempts) + 1):
@@ -115,7 +121,7 @@ def settle(
         if scene.ok:
             break
     assert scene is not None
-    return scene
+    return replace(scene, object_poses=world_from_bin @ scene.object_poses, bin=bin)
 
 
 def _settle_once(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from megrasp_core.errors import SimulationError
 from megrasp_core.simulation.assembly import GRIPPER_PREFIX
 from megrasp_core.simulation.coordinates import read_pose, write_pose
+from megrasp_core.simulation.idle import IdleParts, idle_parts
 
 if TYPE_CHECKING:
     from megrasp_core.grippers import Gripper
@@ -22,11 +23,13 @@ class Hand:
     """Indices and commands of the gripper of one MuJoCo model.
 
     position (3,), quaternion (4,) w first: where the gripper is dragged to; writing to them moves
-        the target. Raises SimulationError when the gripper's postures or controls do not fit its
-        model.
+        the target. locked: the model has no idle parts (`idle.py`). Raises SimulationError when
+        the gripper's postures or controls do not fit its model.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, gripper: Gripper) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, gripper: Gripper, *, locked: bool
+    ) -> None:
         self.gripper = gripper
         self._data = data
         mocap = int(model.body("hand").mocapid[0])
@@ -41,9 +44,14 @@ class Hand:
         }
         self._postures: dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]] = {}
         self._controls: dict[str, NDArray[np.float64]] = {}
+        idle = idle_parts(gripper) if locked else IdleParts()
         for which in ("open", "closed"):
-            posture = {GRIPPER_PREFIX + name: q for name, q in gripper.posture(which).items()}
-            control = np.asarray(gripper.control(which), dtype=np.float64)
+            posture = {
+                GRIPPER_PREFIX + name: q
+                for name, q in gripper.posture(which).items()
+                if name not in idle.joints
+            }
+            control = np.delete(gripper.control(which), list(idle.actuators))
             if set(posture) != set(joints) or control.shape != (model.nu,):
                 raise SimulationError(
                     f"the {which} posture of gripper {gripper.name!r} names the joints "

@@ -51,10 +51,15 @@ class Snapshot:
             self._add(square, np.array([[0, 1, 2], [1, 3, 2]]))
             owners.append(SCENERY)
         self._first_wall = len(owners)
-        for centre, half in world.bin.wall_boxes() if world.bin is not None else ():
-            self._add(_CORNERS * half + centre, _BOX_FACES)
-            owners.append(SCENERY)
-            inward.append(-centre * [1.0, 1.0, 0.0] / np.linalg.norm(centre[:2]))
+        if world.bin is not None:
+            pose, walls = world.bin.world_from_bin, world.bin.wall_boxes()
+            for centre, half in [*walls, *world.bin.floor_boxes()]:
+                corners = _CORNERS * half + centre
+                self._add(corners @ pose[:3, :3].T + pose[:3, 3], _BOX_FACES)
+                owners.append(SCENERY)
+            for centre, _ in walls:
+                across = -centre * [1.0, 1.0, 0.0] / np.linalg.norm(centre[:2])
+                inward.append(pose[:3, :3] @ across)
         self._inward = np.array(inward, dtype=np.float32).reshape(-1, 3)
         self._owners = np.array([*owners, SCENERY], dtype=np.int32)
 
@@ -122,11 +127,12 @@ def observe(
 
     rng is needed with noise (InvalidRequestError without). The cloud's viewpoint is the camera's
     position (3,), for several cameras that of the one that saw each point (N, 3). Colours are the
-    mean colours of the objects; with `light`, as they look in it.
+    mean colours of objects and bin; with `light`, as they look in it.
     """
     cameras = [camera] if isinstance(camera, Camera) else list(camera)
     snapshot = Snapshot(world)
-    palette = np.array([*(model.colour for model in world.objects), SCENERY_COLOUR[:3]])
+    scenery = SCENERY_COLOUR if world.bin is None else world.bin.colour
+    palette = np.array([*(model.colour for model in world.objects), scenery])
     if light is not None:
         palette = light.painted(palette)
     points, colors, origins = [], [], []

@@ -46,6 +46,8 @@ class World:
         gripper: Gripper | None,
         bin: Bin | None,
         obstacles: Collection[int],
+        *,
+        locked: bool = False,
     ) -> None:
         self.model = model
         self.data = mujoco.MjData(model)
@@ -70,7 +72,9 @@ class World:
         self._object_qpos = model.jnt_qposadr[joints][:, None] + np.arange(7)
         self._object_dof = model.jnt_dofadr[joints][:, None] + np.arange(6)
         self.owner = self._geom_owners()
-        self._hand = Hand(model, self.data, gripper) if gripper is not None else None
+        self._hand = (
+            Hand(model, self.data, gripper, locked=locked) if gripper is not None else None
+        )
         if self._hand is not None:
             self.park_gripper()
         model.body_gravcomp[self._object_body] = 0.0
@@ -251,6 +255,7 @@ def build_world(
     table: bool = True,
     visual: bool = False,
     guard: Guard | None = None,
+    locked: bool = False,
 ) -> World:
     """Compile a world: support surface z = 0, z up.
 
@@ -261,6 +266,7 @@ def build_world(
     visual: whether to add the visual meshes to the MuJoCo model, which only MuJoCo's own viewer
         needs.
     table: whether there is a support at all (free space has none).
+    locked: whether joints that the gripper's grasps do not move are fixed (`idle.py`).
     Raises SimulationError when MuJoCo cannot compile the model.
     """
     wrong = [i for i in obstacles if not 0 <= i < len(objects)]
@@ -277,6 +283,7 @@ def build_world(
             gravity=gravity,
             visual=visual,
             guard=guard,
+            locked=locked,
         )
     except ValueError as error:
         names = ", ".join(model.name for model in objects)
@@ -284,7 +291,7 @@ def build_world(
             f"MuJoCo cannot build a world of gripper {gripper.name if gripper else None!r} and "
             f"objects {names}: {error}"
         ) from error
-    world = World(model, objects, gripper, bin, obstacles)
+    world = World(model, objects, gripper, bin, obstacles, locked=locked)
     if object_poses is not None:
         world.set_object_poses(object_poses)
     return world

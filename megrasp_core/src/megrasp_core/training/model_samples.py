@@ -18,7 +18,7 @@ from ..diffusion import NoiseSchedule, SamplerSettings, last_step, sample_steps
 from ..grippers import Gripper, load_gripper
 from ..lie.pose import matrix_from_pose7, pose7_from_matrix
 from ..network import GraspModel
-from ..simulation import Bin, approach_path, build_world, judge, start_depths
+from ..simulation import approach_path, build_world, judge, start_depths
 from ..synthesizer.starts import draw_starts
 from .batching import record_nodes
 
@@ -82,7 +82,7 @@ def judge_poses(
     world = build_world(
         [objects[name] for name in record.object_names],
         gripper=gripper,
-        bin=None if record.bin_inner is None else Bin(record.bin_inner),
+        bin=record.bin,
         obstacles=set(np.flatnonzero(record.obstacle).tolist()),
         object_poses=matrix_from_pose7(record.object_poses.astype(np.float64)),
     )

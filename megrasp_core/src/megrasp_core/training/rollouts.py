@@ -106,7 +106,7 @@ def roll_out(
             dataclasses.replace(
                 _seen(seed * STAGES + len(records), layout.object_names, world, cloud, config),
                 obstacle=np.array([place in obstacles for place in present]),
-                bin_inner=None if layout.bin is None else layout.bin.inner,
+                bin=layout.bin,
                 labels={gripper.name: _labels(chosen, verdicts, present, world)},
             )
         )
@@ -196,7 +196,7 @@ def _seen(
         object_names=tuple(names[place] for place in present),
         object_poses=pose7_from_matrix(world.object_poses()[present]).astype(np.float32),
         obstacle=np.zeros(len(present), bool),
-        bin_inner=None,
+        bin=None,
         points=surface.points.astype(np.float16),
         normals=pack_normals(surface.normals),
         on_plane=surface.on_plane,
