@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from ..datasets.candidates import CandidateSettings, ObjectSurface, antipodal
 from ..datasets.object_set import ObjectSet, procedural_names
-from ..grippers import Gripper, load_gripper
+from ..grippers import Gripper, gripper_folders, load_gripper
 from ..objects import ObjectModel, procedural_object
 from ..simulation import Bin, FreeSpaceRig, Reason, World, settle, start_depths
 from ..simulation.free_space import label_timestep
 from .report import hardware
+from .trial_profile import profile_trials
 
 GRIPPERS = (
     "robotiq_2f85",
@@ -42,6 +43,10 @@ FIRST_OBJECT = 1_300_000
 MAX_DEPTH = 0.001
 
 
+PROFILED = 4
+"""Objects whose trials are profiled."""
+
+
 def bench_data(
     grippers: Sequence[str],
     *,
@@ -50,7 +55,8 @@ def bench_data(
     poses: int = 4000,
     on_progress: Callable[[int, int], object] | None = None,
 ) -> dict[str, Any]:
-    """Measure trials, their agreement with smaller steps, and collision tests.
+    """Measure trials, their agreement with smaller steps and free joints, what a trial spends its
+    time on, trials of the CAD model where there is one, and collision tests.
 
     Args:
         grippers: names or folders.
@@ -74,6 +80,7 @@ def bench_data(
             {
                 "gripper": gripper.name,
                 **_trials(gripper, models, candidates),
+                "cad_full_trials_per_second": _plain_rate(f"{name}_cad", models, candidates),
                 **_collisions(gripper, world, poses),
             }
         )
@@ -95,14 +102,15 @@ def _trials(gripper: Gripper, models: ObjectSet, candidates: int) -> dict[str, A
     seconds, count = {"label": 0.0, "reference": 0.0}, 0
     reasons: dict[str, int] = {}
     at_tcp = {"held": 0, "drawn": 0}
-    same, same_moved = 0, 0
-    for name in models.names:
+    same, same_moved, profiles = 0, 0, []
+    for number, name in enumerate(models.names):
         model = models[name]
         surface = ObjectSurface(model)
         rig = FreeSpaceRig(gripper, model)
-        reference = FreeSpaceRig(gripper, model, timestep=REFERENCE_TIMESTEP)
+        reference = FreeSpaceRig(gripper, model, timestep=REFERENCE_TIMESTEP, locked=False)
         rng = np.random.default_rng(0)
-        for pose in _draw(gripper, model, surface, candidates, rng, at_tcp=False):
+        drawn = _draw(gripper, model, surface, candidates, rng, at_tcp=False)
+        for pose in drawn:
             start = time.process_time()
             result = rig.trial(pose)
             spent = time.process_time() - start
@@ -118,23 +126,65 @@ def _trials(gripper: Gripper, models: ObjectSet, candidates: int) -> dict[str, A
             moved[:3, 3] += rng.normal(scale=NOISE, size=3)
             same += result.success == finer
             same_moved += reference.trial(moved).success == finer
+        if number < PROFILED:
+            profiles.append(profile_trials(rig, drawn))
         if gripper.description.kind == "hand":
             for pose in _draw(gripper, model, surface, candidates, rng, at_tcp=True):
                 at_tcp["drawn"] += 1
                 at_tcp["held"] += rig.trial(pose).success
-    drawn = sum(reasons.values())
+    tested = sum(reasons.values())
     return {
         "timestep": label_timestep(gripper),
         "full_trials": count,
         "full_trials_per_second": count / max(seconds["label"], 1e-9),
-        "full_trials_per_second_at_2_ms": count / max(seconds["reference"], 1e-9),
-        "drawn": drawn,
+        "plain_full_trials_per_second": count / max(seconds["reference"], 1e-9),
+        "drawn": tested,
         "reasons": dict(sorted(reasons.items())),
-        "yield": reasons.get(Reason.SUCCESS.value, 0) / max(drawn, 1),
+        "yield": reasons.get(Reason.SUCCESS.value, 0) / max(tested, 1),
         "yield_at_tcp": at_tcp["held"] / at_tcp["drawn"] if at_tcp["drawn"] else None,
-        "agrees_with_2_ms": same / max(count, 1),
-        "2_ms_agrees_with_itself_moved": same_moved / max(count, 1),
+        "agrees_with_plain": same / max(count, 1),
+        "plain_agrees_with_itself_moved": same_moved / max(count, 1),
+        "profile": _mean_profile(profiles),
     }
+
+
+def _mean_profile(profiles: list[dict[str, Any]]) -> dict[str, Any]:
+    """Means over objects, weighted by their trials."""
+    weights = [profile["trials"] for profile in profiles]
+    if not sum(weights):
+        return {}
+
+    def mean(values: list[float]) -> float:
+        return float(np.average(values, weights=weights))
+
+    return {
+        "trials": sum(weights),
+        **{
+            name: mean([profile[name] for profile in profiles])
+            for name in ("steps", "contacts", "constraints", "iterations")
+        },
+        "shares": {
+            stage: mean([profile["shares"][stage] for profile in profiles])
+            for stage in profiles[0]["shares"]
+        },
+    }
+
+
+def _plain_rate(name: str, models: ObjectSet, candidates: int) -> float | None:
+    """Full trials a second at 2 ms with all joints free, of a gripper that may not be here."""
+    if name not in gripper_folders():
+        return None
+    gripper, count, seconds = load_gripper(name), 0, 0.0
+    for object_name in models.names:
+        model = models[object_name]
+        rig = FreeSpaceRig(gripper, model, timestep=REFERENCE_TIMESTEP, locked=False)
+        rng, surface = np.random.default_rng(0), ObjectSurface(model)
+        for pose in _draw(gripper, model, surface, candidates, rng, at_tcp=False):
+            start = time.process_time()
+            result = rig.trial(pose)
+            if result.reason is not Reason.START_COLLISION:
+                count, seconds = count + 1, seconds + time.process_time() - start
+    return count / max(seconds, 1e-9)
 
 
 def _draw(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -72,12 +71,12 @@ def closing(world: World, duration: float, ramp: float) -> Motion:
 
 def advance(world: World, motion: Motion, watch: Watch | None = None) -> bool:
     """Step the world through a motion; False when `watch` or an instability ended it early."""
-    model, data, hand = world.model, world.data, world.hand
-    every = max(1, round(WATCH_PERIOD / model.opt.timestep))
+    hand = world.hand
+    every = max(1, round(WATCH_PERIOD / world.model.opt.timestep))
     for start in range(0, motion.steps, every):
         stop = min(start + every, motion.steps)
         if motion.positions is None and motion.shares is None:
-            mujoco.mj_step(model, data, nstep=stop - start)
+            world.step(stop - start)
         else:
             for step in range(start, stop):
                 if motion.positions is not None:
@@ -86,7 +85,7 @@ def advance(world: World, motion: Motion, watch: Watch | None = None) -> bool:
                     hand.quaternion[:] = motion.quaternions[step]
                 if motion.shares is not None:
                     hand.drive(motion.shares[step])
-                mujoco.mj_step(model, data)
+                world.step()
         if world.unstable() or (watch is not None and not watch()):
             return False
     return True

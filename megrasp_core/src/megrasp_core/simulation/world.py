@@ -84,13 +84,12 @@ class World:
 
     def _geom_owners(self) -> NDArray[np.int64]:
         model = self.model
-        owner = np.full(model.ngeom, SCENERY, dtype=np.int64)
         body_owner = np.full(model.nbody, SCENERY, dtype=np.int64)
         body_owner[self._object_body] = np.arange(len(self.objects))
         for body in range(model.nbody):
             if model.body(body).name.startswith(GRIPPER_PREFIX):
                 body_owner[body] = GRIPPER
-        owner[:] = body_owner[model.geom_bodyid]
+        owner = body_owner[model.geom_bodyid]
         for geom in range(model.ngeom):
             if model.geom(geom).name.startswith("guard_"):
                 owner[geom] = GUARD
@@ -226,6 +225,10 @@ class World:
     def forward(self) -> None:
         """Bring everything derived from the state up to date."""
         mujoco.mj_forward(self.model, self.data)
+
+    def step(self, count: int = 1) -> None:
+        """Advance by so many timesteps."""
+        mujoco.mj_step(self.model, self.data, nstep=count)
 
     def detect_contacts(self) -> None:
         """Bring link poses and contacts up to date, at a third of the cost of `forward`."""
