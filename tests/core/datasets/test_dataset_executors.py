@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+import errno
 import functools
 import os
+import signal
 import sys
+import threading
+import time
+from collections.abc import Callable
 
 import pytest
-from executor_units import die_on_three, die_once, square, thread_setting
+from executor_units import (
+    die_on_three,
+    die_once,
+    killer_and_slow,
+    late_last,
+    square,
+    thread_setting,
+)
 
 from megrasp_core.datasets import ExecutorConfig, run_units
-from megrasp_core.errors import DataError, InvalidRequestError
+from megrasp_core.errors import DataError, InvalidRequestError, MegraspError
 
 
 def run(config: ExecutorConfig, function, units):
@@ -19,6 +31,14 @@ def run(config: ExecutorConfig, function, units):
         function, units, config, on_result=results.__setitem__, on_progress=steps.append
     )
     return results, steps, summary
+
+
+def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+    """Wait."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not come about"
+        time.sleep(0.01)
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -50,6 +70,102 @@ def test_a_unit_that_always_kills_its_worker_does_not_stop_the_rest():
     assert set(results) | {3} == set(range(7))
     assert 3 not in results
     assert "died 4 times" in dict(summary.failed)[3]
+
+
+def test_a_unit_that_kills_its_worker_takes_no_other_with_it():
+    """Two attempts: both would go wrong for the slow unit, were it repeated beside the killer."""
+    results, _, summary = run(ExecutorConfig(workers=2, attempts=2), killer_and_slow, range(3))
+    assert results == {1: 1, 2: 2}
+    assert summary.failed == [(0, "its process died 2 times")]
+
+
+def test_a_worker_killed_while_it_waits_does_not_hang_the_run(tmp_path):
+    """It dies with the lock of the queue, so that the other can only be ended."""
+    over, killed, stuck = threading.Event(), [], []
+
+    def kill() -> None:
+        until((tmp_path / "2").exists)
+        busy = int((tmp_path / "2").read_text())
+        idle = {int((tmp_path / name).read_text()) for name in "01"} - {busy}
+        killed.extend(idle)
+        for pid in idle:
+            os.kill(pid, signal.SIGKILL)
+        if not over.wait(30):
+            stuck.append(busy)
+            os.kill(busy, signal.SIGKILL)
+
+    thread = threading.Thread(target=kill)
+    thread.start()
+    unit = functools.partial(late_last, folder=str(tmp_path))
+    results, _, summary = run(ExecutorConfig(workers=2), unit, range(3))
+    over.set()
+    thread.join()
+    assert len(killed) == 1 and not stuck
+    assert results == {0: 0, 1: 1, 2: 2} and not summary.failed
+
+
+def unsaved(*errors: Exception | None):
+    """What saves nothing but raises one after another of `errors`."""
+    left = list(errors)
+
+    def save(unit: int, _: int) -> None:
+        error = left.pop(0) if left else None
+        if error is not None:
+            raise error
+
+    return save
+
+
+FULL = OSError(errno.ENOSPC, "No space left on device", "scene.npz")
+
+
+def test_one_result_that_cannot_be_saved_does_not_stop_the_others():
+    told = MegraspError("too far away")
+    units = [0, 1, 2, 4, 5, 6, 7]
+    summary = run_units(square, units, on_result=unsaved(FULL, None, told, told, FULL, None))
+    assert [unit for unit, _ in summary.failed] == [0, 2, 4, 5] and summary.done == 3
+    assert dict(summary.failed)[2] == "not saved: too far away"
+    assert "not saved: [Errno 28] No space left on device: 'scene.npz'" in dict(summary.failed)[0]
+    assert not summary.cancelled and not summary.reason
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_run_ends_when_nothing_can_be_written(workers):
+    summary = run_units(
+        square,
+        [0, 1, 2, 4, 5, 6, 7],
+        ExecutorConfig(workers=workers),
+        on_result=unsaved(None, FULL, FULL, None),
+    )
+    assert summary.cancelled and "make room" in summary.reason
+    assert summary.done == 1 and len(summary.failed) == 2
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_waits_until_the_result_is_saved(number):
+    saved = []
+    before = signal.getsignal(number)
+
+    def save(unit: int, _: int) -> None:
+        signal.raise_signal(number)
+        saved.append(unit)
+
+    summary = run_units(square, [0, 1, 2], on_result=save)
+    assert saved == [0] and summary.done == 1 and summary.cancelled
+    assert summary.reason == ("Ctrl-C" if number == signal.SIGINT else "SIGTERM")
+    assert signal.getsignal(number) == before
+
+
+def test_a_programs_own_handlers_stay_in_charge():
+    told = []
+    before = signal.signal(signal.SIGTERM, lambda *_: told.append("asked to end"))
+    try:
+        summary = run_units(
+            square, [0, 1], on_result=lambda *_: signal.raise_signal(signal.SIGTERM)
+        )
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert told == ["asked to end"] * 2 and summary.done == 2 and not summary.cancelled
 
 
 def test_workers_get_one_thread_and_the_callers_environment_stays(monkeypatch):

@@ -51,6 +51,9 @@ def test_a_writer_continues_what_it_finds(tmp_path):
     first = SceneWriter(tmp_path, MANIFEST, shard_size=2)
     for seed in (4, 7, 9):
         first.add(record(seed))
+    with pytest.raises(DataError, match=r"another run is writing to .*--out"):
+        SceneWriter(tmp_path, MANIFEST, shard_size=2)
+    first.close()
     second = SceneWriter(tmp_path, MANIFEST, shard_size=2)
     assert [seed in second for seed in (4, 5, 7, 9)] == [True, False, True, True]
     second.add(record(5))
@@ -65,6 +68,10 @@ def test_a_kill_between_shard_and_removal_counts_no_scene_twice(tmp_path):
     writer.add(record(1))
     (tmp_path / "scenes" / "scene_0000000000.npz").write_bytes(copy)
     assert SceneDataset(tmp_path).names == ["scene_0000000000", "scene_0000000001"]
+    writer.close()
+    SceneWriter(tmp_path, MANIFEST, shard_size=2).add(record(2))
+    assert [file.stem for file in (tmp_path / "scenes").iterdir()] == ["scene_0000000002"]
+    assert [r.seed for r in SceneDataset(tmp_path)] == [0, 1, 2]
 
 
 def test_several_folders_read_as_one(tmp_path):
@@ -91,8 +98,8 @@ def test_missing_and_damaged_data_are_named(tmp_path):
     assert_equal(SceneDataset(tmp_path)[0], record(0))
     with pytest.raises(DataError, match=r"scene_0000000001\.npz is damaged"):
         SceneDataset(tmp_path)[1]
-    problems = verify_dataset(tmp_path)
-    assert len(problems) == 1 and problems[0].startswith("scene_0000000001: ")
+    [finding] = verify_dataset(tmp_path)
+    assert finding.damaged and finding.lost == ("scene_0000000001",)
 
 
 def test_half_written_files_are_not_scenes(tmp_path):
@@ -100,6 +107,10 @@ def test_half_written_files_are_not_scenes(tmp_path):
     writer.add(record(0))
     (tmp_path / "scenes" / ".scene_0000000001.npz.123.part").write_bytes(b"half")
     assert len(SceneDataset(tmp_path)) == 1
+    [note] = verify_dataset(tmp_path)
+    assert not note.damaged and note.file.name == ".scene_0000000001.npz.123.part"
+    writer.close()
+    SceneWriter(tmp_path, MANIFEST).close()
     assert verify_dataset(tmp_path) == []
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from tyro.extras import SubcommandApp
 
 from .calibrate import calibrate
-from .data import grasps, pack, scenes, stats, verify
+from .data import grasps, scenes, stats
+from .data_plan import plan
 from .demo import demo
 from .evaluation import bench, evaluation, samples
 from .family import sample
@@ -14,10 +15,12 @@ from .frames import frames
 from .gripper import check, listed, render, show
 from .look import look
 from .objects import generate
+from .pack import pack
 from .postures import postures
 from .rollouts import rollouts
 from .synthesize import synthesize
 from .train import train
+from .verify import verify
 from .wizard import new, score_wizard
 
 __all__ = ["app"]
@@ -49,6 +52,7 @@ def app() -> SubcommandApp:
         stats=stats,
         verify=verify,
         look=look,
+        plan=plan,
         samples=samples,
         rollouts=rollouts,
     )

@@ -1,4 +1,4 @@
-"""`megrasp data grasps | scenes | pack | stats | verify`."""
+"""`megrasp data grasps | scenes | stats`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .common import emit, progress_bar, say
 if TYPE_CHECKING:
     from ..datasets import ExecutorConfig, ObjectSet, Progress, RunSummary
 
-__all__ = ["grasps", "pack", "scenes", "stats", "verify"]
+__all__ = ["grasps", "scenes", "stats"]
 
 Executor = Literal["local", "ray"]
 Grippers = Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--grippers"])]
@@ -54,12 +54,14 @@ def grasps(
     """
     from ..datasets import LabelSettings, LibraryConfig, generate_library, load_library
     from ..datasets.library import continue_library
+    from ..datasets.run_log import add_runs, runs_of
 
     settings = LabelSettings() if target is None else LabelSettings(target=target)
     config = LibraryConfig(tuple(gripper), _objects(procedural, assets), seed, settings)
     where = _executor(executor, address, workers)
     if start is not None:
         say(f"{continue_library(load_library(start), out)} pairs taken over from {start}")
+        add_runs(out, runs_of(start))
     with _bar("grasps") as tell:
         summary = generate_library(out, config, where, on_progress=tell)
     return _finished(summary, "pairs of object and gripper", out)
@@ -111,33 +113,6 @@ def scenes(
     return _finished(summary, "scenes", out)
 
 
-def pack(out: Path, into: Path | None = None) -> int:
-    """Pack a library, or the recipes of a data set, into one small file.
-
-    Recipes hold bin, object poses, grasps and labels; clouds are rendered again from the seed.
-
-    Try: megrasp data pack --out data/scenes --into models/scene_recipes.npz
-
-    Args:
-        out: folder of `data grasps` or `data scenes`.
-        into: folder of a library, or file of recipes; by default grasp_library or
-            scene_recipes.npz beside the folder.
-    """
-    from ..datasets import SceneDataset, load_library, pack_library, write_recipes
-
-    if (out / "manifest.json").is_file():
-        target = into or out.parent / "scene_recipes.npz"
-        dataset = SceneDataset(out)
-        size = write_recipes(target, iter(dataset))
-        say(f"wrote the recipes of {len(dataset)} scenes to {target}, {size / 1e6:.1f} MB")
-        return 0
-    library = load_library(out)
-    target = into or out.parent / "grasp_library"
-    size = pack_library(library, target)
-    say(f"wrote {len(library)} pairs of object and gripper to {target}, {size / 1e6:.1f} MB")
-    return 0
-
-
 def stats(
     out: Annotated[Path, tyro.conf.arg(aliases=["--data"])],
     pictures: Path | None = None,
@@ -149,15 +124,17 @@ def stats(
     Try: megrasp data stats --out data/library --pictures data/pictures --card data/card.md
 
     Args:
-        out: folder of `data grasps` or `data scenes`, or a packed library.
+        out: folder of `data grasps` or `data scenes`, a packed library, or a device pack.
         pictures: folder to draw into: of a library yield.png, grippers_per_object.png, objects.png
             and grasps.png, of scenes scenes.png.
         card: markdown file to write about a library.
         command: with --card, the command that made the library.
     """
+    from ..datasets.device_pack import SUFFIX
+
     if command is not None and card is None:
         raise InvalidRequestError("--command was given without --card; expected both.")
-    if (out / "manifest.json").is_file():
+    if (out / "manifest.json").is_file() or out.suffix == SUFFIX:
         if card is not None:
             raise InvalidRequestError(
                 f"--card was given and {out} holds scenes; expected a grasp library."
@@ -183,12 +160,13 @@ def _library_stats(
     out: Path, pictures: Path | None, card: Path | None, command: str | None
 ) -> int:
     from ..datasets import ObjectSet, library_card, library_stats, load_library, object_facts
+    from ..datasets.run_log import runs_of
 
     library, objects = load_library(out), ObjectSet(())
     names = sorted({entry.object_name for entry in library})
     with progress_bar(len(names), "objects") as bar:
         facts, missing = object_facts(names, objects, bar.update)
-    content = library_stats(library, facts)
+    content = {**library_stats(library, facts), "runs": runs_of(out)}
     emit(content, None)
     if pictures is not None:
         from ..evaluation.library_pictures import library_pictures
@@ -205,24 +183,6 @@ def _library_stats(
         card.write_text(library_card(content, command))
         say(f"wrote {card}")
     return 0
-
-
-def verify(out: Annotated[Path, tyro.conf.arg(aliases=["--data"])]) -> int:
-    """Read every record of a data set and say what is wrong; exit code 1 with findings.
-
-    Try: megrasp data verify --out data/scenes
-
-    Args:
-        out: folder of `data scenes`.
-    """
-    from ..datasets import verify_dataset
-
-    with progress_bar(None, "scenes") as bar:
-        problems = verify_dataset(out, lambda done, total: bar.update())
-    for problem in problems:
-        say(problem)
-    say(f"{len(problems)} problems in {out}")
-    return 1 if problems else 0
 
 
 def _objects(procedural: int, assets: bool) -> ObjectSet:
@@ -258,6 +218,7 @@ def _finished(summary: RunSummary, what: str, out: Path) -> int:
     for unit, message in summary.failed[:10]:
         say(f"failed: {unit}: {message}")
     if summary.cancelled:
-        say("stopped; run the same command again to go on")
+        say(f"stopped: {summary.reason}")
+        say("what is counted here is saved; run the same command again to go on")
         return 1
     return 1 if summary.failed and not summary.done else 0

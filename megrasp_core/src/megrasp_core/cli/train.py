@@ -37,9 +37,11 @@ def train(
     Try:
       megrasp train --data data/scenes --out runs/small --minutes 120
       megrasp train --data data/scenes --out runs/small --resume --minutes 240
+      megrasp train --data scenes.mgpack --out runs/small --device cuda
 
     Args:
-        data: folders of `data scenes`; one that still grows is read again.
+        data: folders of `data scenes`, or device packs of `data pack`; a folder that still grows
+            is read again.
         out: checkpoint, loss curves and the averaged model.
         resume: go on from the checkpoint in `out`; everything but the end of the run and the
             device is taken from it.

@@ -8,12 +8,11 @@ from megrasp_core.datasets.candidates import (
     ObjectSurface,
     antipodal,
 )
+from megrasp_core.datasets.device_pack import DevicePack, verify_pack
+from megrasp_core.datasets.device_packing import PackSettings, PackSource, write_pack
 from megrasp_core.datasets.executors import ExecutorConfig, Progress, RunSummary, run_units
-from megrasp_core.datasets.inspection import (
-    record_problems,
-    scene_stats,
-    verify_dataset,
-)
+from megrasp_core.datasets.inspection import record_problems, scene_stats
+from megrasp_core.datasets.integrity import Finding, verify_dataset
 from megrasp_core.datasets.labelling import (
     LabelSettings,
     LibraryConfig,
@@ -28,6 +27,7 @@ from megrasp_core.datasets.library import (
     write_grasp_set,
 )
 from megrasp_core.datasets.library_card import library_card
+from megrasp_core.datasets.library_check import verify_library
 from megrasp_core.datasets.library_facts import ObjectFacts, library_stats, object_facts
 from megrasp_core.datasets.object_set import (
     ObjectSet,
@@ -35,16 +35,21 @@ from megrasp_core.datasets.object_set import (
     procedural_names,
     training_objects,
 )
+from megrasp_core.datasets.packed_scene import PackedScene
 from megrasp_core.datasets.pictures import scene_picture
 from megrasp_core.datasets.recipes import read_recipes, with_cloud, write_recipes
 from megrasp_core.datasets.records import GraspSet, GripperLabels, Kind, SceneRecord
+from megrasp_core.datasets.scene_writer import SceneWriter
 from megrasp_core.datasets.scenes import SceneJob, build_scene, generate_scenes
-from megrasp_core.datasets.storage import SceneDataset, SceneWriter
+from megrasp_core.datasets.storage import SceneDataset
+from megrasp_core.datasets.training_scenes import TrainingScene, open_scenes
 
 __all__ = [
     "CandidateSettings",
     "Candidates",
+    "DevicePack",
     "ExecutorConfig",
+    "Finding",
     "GraspLibrary",
     "GraspSet",
     "GripperLabels",
@@ -55,6 +60,9 @@ __all__ = [
     "ObjectFacts",
     "ObjectSet",
     "ObjectSurface",
+    "PackSettings",
+    "PackSource",
+    "PackedScene",
     "Progress",
     "RunSummary",
     "SceneConfig",
@@ -63,6 +71,7 @@ __all__ = [
     "SceneRecord",
     "ViewShares",
     "SceneWriter",
+    "TrainingScene",
     "antipodal",
     "asset_names",
     "build_scene",
@@ -74,6 +83,7 @@ __all__ = [
     "library_stats",
     "load_library",
     "object_facts",
+    "open_scenes",
     "pack_library",
     "procedural_names",
     "read_recipes",
@@ -83,7 +93,10 @@ __all__ = [
     "scene_stats",
     "training_objects",
     "verify_dataset",
+    "verify_library",
+    "verify_pack",
     "with_cloud",
     "write_grasp_set",
+    "write_pack",
     "write_recipes",
 ]

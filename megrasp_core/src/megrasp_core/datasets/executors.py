@@ -7,24 +7,24 @@ unit it held, and that unit is tried again.
 
 from __future__ import annotations
 
+import functools
 import logging
-import multiprocessing
-import os
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
 
-from megrasp_core.errors import DataError, InvalidRequestError
+from megrasp_core.datasets.local_pool import THREAD_VARIABLES, describe, pool_outcomes
+from megrasp_core.datasets.stopping import StopSignals
+from megrasp_core.errors import DataError, InvalidRequestError, MegraspError
+from megrasp_core.worker import timed
 
 U = TypeVar("U")
 R = TypeVar("R")
 log = logging.getLogger(__name__)
 
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+UNSAVED = 2
+"""So many results in a row that cannot be written end a run: the disk is full, or gone."""
 
 
 @dataclass(frozen=True)
@@ -56,12 +56,23 @@ class Progress:
 
 @dataclass
 class RunSummary:
-    """What a run did: number of units done, and (unit, message) of those that failed."""
+    """What a run did.
+
+    Attributes:
+        done: number of units whose results were handed over.
+        failed: (unit, message) of those that failed or could not be saved.
+        seconds: duration.
+        cpu_seconds: of the units that were done, in the processes that worked on them.
+        cancelled: whether it ended early.
+        reason: why it did, "" where it did not.
+    """
 
     done: int = 0
     failed: list[tuple[Any, str]] = field(default_factory=list)
     seconds: float = 0.0
+    cpu_seconds: float = 0.0
     cancelled: bool = False
+    reason: str = ""
 
 
 def run_units(
@@ -74,8 +85,10 @@ def run_units(
 ) -> RunSummary:
     """Calls `function(unit)` for every unit and hands each result to `on_result` in this process.
 
-    An exception of `function` marks the unit as failed and the run goes on. Ctrl-C stops the run
-    between results; what was handed over stays, and the summary says `cancelled`.
+    An exception of `function`, or of `on_result` for a result that cannot be saved, marks the
+    unit as failed and the run goes on. It ends early where `UNSAVED` results in a row cannot be
+    written, and at Ctrl-C or SIGTERM, between results; what was handed over stays, and the
+    summary says `cancelled` and why.
 
     Args:
         function: picklable where more than one process is used.
@@ -103,120 +116,77 @@ def run_units(
         raise InvalidRequestError(
             f"unknown executor {config.kind!r}; expected local or ray. Choose one with --executor."
         )
-    results = stream(function, units, config)
+    stop, unsaved = StopSignals(), 0
+    results = stream(functools.partial(timed, function), units, config, stop)
     try:
-        for unit, result, message in results:
-            if message is None:
-                on_result(unit, result)  # type: ignore[arg-type]
-                summary.done += 1
-            else:
-                log.warning("unit %s failed: %s", unit, message)
-                summary.failed.append((unit, message))
-            summary.seconds = time.monotonic() - start
-            if on_progress is not None:
-                on_progress(
-                    Progress(summary.done, len(summary.failed), len(units), summary.seconds)
-                )
+        with stop:
+            for unit, outcome, message in results:
+                with stop.held_back():
+                    result, cpu_seconds = outcome or (None, 0.0)
+                    if message is None:
+                        message, is_written = _saved(on_result, unit, result)
+                        unsaved = 0 if is_written else unsaved + 1
+                    if message is None:
+                        summary.done += 1
+                        summary.cpu_seconds += cpu_seconds
+                    else:
+                        log.warning("unit %s failed: %s", unit, message)
+                        summary.failed.append((unit, message))
+                    summary.seconds = time.monotonic() - start
+                if on_progress is not None:
+                    on_progress(
+                        Progress(summary.done, len(summary.failed), len(units), summary.seconds)
+                    )
+                if unsaved >= UNSAVED:
+                    summary.cancelled = True
+                    summary.reason = (
+                        f"{unsaved} results in a row could not be written; make room on the disk, "
+                        "or the folder writable"
+                    )
+                    break
     except KeyboardInterrupt:
-        log.warning("stopped after %d of %d units", summary.done, len(units))
         summary.cancelled = True
+        summary.reason = stop.received or "Ctrl-C"
     finally:
         results.close()
+    if summary.cancelled:
+        log.warning("stopped after %d of %d units", summary.done, len(units))
     summary.seconds = time.monotonic() - start
     return summary
+
+
+def _saved(
+    on_result: Callable[[U, R], None], unit: U, result: R | None
+) -> tuple[str | None, bool]:
+    """Hands a result over; what went wrong, and whether files can be written."""
+    try:
+        on_result(unit, result)  # type: ignore[arg-type]
+    except OSError as error:
+        return f"not saved: {error}", False
+    except MegraspError as error:
+        return f"not saved: {error}", True
+    return None, True
 
 
 _Outcome = tuple[U, R | None, str | None]
 
 
-def _describe(error: BaseException) -> str:
-    return f"{type(error).__name__}: {error}"
-
-
 def _serial(
-    function: Callable[[U], R], units: Sequence[U], config: ExecutorConfig
+    function: Callable[[U], R], units: Sequence[U], _: ExecutorConfig, __: StopSignals
 ) -> Generator[_Outcome, None, None]:
-    del config
     for unit in units:
         try:
             result = function(unit)
         except Exception as error:
-            yield unit, None, _describe(error)
+            yield unit, None, describe(error)
         else:
             yield unit, result, None
 
 
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Children inherit the environment at their start: one thread each whatever we have."""
-    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
-    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
 def _pool(
-    function: Callable[[U], R], units: Sequence[U], config: ExecutorConfig
+    function: Callable[[U], R], units: Sequence[U], config: ExecutorConfig, _: StopSignals
 ) -> Generator[_Outcome, None, None]:
-    """Spawned processes. When one is killed the pool breaks: it is built again and what was in
-    flight is repeated.
-    """
-    queue = [(unit, 1) for unit in reversed(units)]
-    with _one_thread_each():
-        while queue:
-            pool = ProcessPoolExecutor(
-                config.workers, mp_context=multiprocessing.get_context("spawn")
-            )
-            flight: dict[Future[R], tuple[U, int]] = {}
-            broken = clean = False
-            try:
-                while (queue or flight) and not broken:
-                    while queue and len(flight) < config.workers:
-                        unit, attempt = queue.pop()
-                        try:
-                            flight[pool.submit(function, unit)] = (unit, attempt)
-                        except BrokenProcessPool:
-                            queue.append((unit, attempt))
-                            broken = True
-                            break
-                    finished, _ = wait(flight, return_when=FIRST_COMPLETED)
-                    for future in finished:
-                        error = future.exception()
-                        if isinstance(error, BrokenProcessPool):
-                            broken = True
-                            continue
-                        unit, _ = flight.pop(future)
-                        if error is not None:
-                            yield unit, None, _describe(error)
-                        else:
-                            yield unit, future.result(), None
-                # Which of the units in flight killed its process is not known: each is tried
-                # again.
-                for unit, attempt in flight.values():
-                    if attempt < config.attempts:
-                        queue.append((unit, attempt + 1))
-                    else:
-                        yield unit, None, f"its process died {attempt} times"
-                clean = True
-            finally:
-                _shut_down(pool, wait_for_units=clean)
-
-
-def _shut_down(pool: ProcessPoolExecutor, *, wait_for_units: bool) -> None:
-    """Ends the pool; without waiting, its own processes are ended at once (Ctrl-C, a caller that
-    left).
-    """
-    processes = list((getattr(pool, "_processes", None) or {}).values())
-    pool.shutdown(wait=wait_for_units, cancel_futures=True)
-    if not wait_for_units:
-        for process in processes:
-            process.terminate()
+    return pool_outcomes(function, units, config.workers, config.attempts)
 
 
 def _call(function: Callable[[U], R], unit: U) -> R:
@@ -225,7 +195,7 @@ def _call(function: Callable[[U], R], unit: U) -> R:
 
 
 def _ray(
-    function: Callable[[U], R], units: Sequence[U], config: ExecutorConfig
+    function: Callable[[U], R], units: Sequence[U], config: ExecutorConfig, stop: StopSignals
 ) -> Generator[_Outcome, None, None]:
     try:
         import ray
@@ -242,8 +212,9 @@ def _ray(
             ray.init(num_cpus=config.workers, log_to_driver=False)
         else:
             ray.init(address=config.address, log_to_driver=False)
+        stop.install()
     try:
-        environment = {"env_vars": dict.fromkeys(_THREAD_VARIABLES, "1")}
+        environment = {"env_vars": dict.fromkeys(THREAD_VARIABLES, "1")}
         remote = ray.remote(num_cpus=1, max_retries=config.attempts - 1, runtime_env=environment)(
             _call
         )
@@ -263,7 +234,7 @@ def _ray(
                     yield unit, None, f"its process died {config.attempts} times"
                 except Exception as error:
                     # Ray wraps what the unit raised.
-                    yield unit, None, _describe(getattr(error, "cause", None) or error)
+                    yield unit, None, describe(getattr(error, "cause", None) or error)
                 else:
                     yield unit, result, None
     finally:

@@ -1,6 +1,4 @@
-"""Counts and checks of a scene data set on disk: what `megrasp data stats` and `megrasp data
-verify` report.
-"""
+"""Counts of a scene data set on disk, and what is wrong with a record."""
 
 from __future__ import annotations
 
@@ -11,23 +9,23 @@ from typing import Any
 
 import numpy as np
 
+from megrasp_core.datasets.device_pack import DevicePack
 from megrasp_core.datasets.records import Kind, SceneRecord
+from megrasp_core.datasets.run_log import runs_of
 from megrasp_core.datasets.storage import SceneDataset
-from megrasp_core.errors import DataError
 
 
 def scene_stats(
     folder: str | Path, on_progress: Callable[[int, int], object] | None = None
 ) -> dict[str, Any]:
-    """Counts of a scene data set.
+    """Counts of a scene data set or device pack.
 
     Returns:
-        scenes, in_bin, mean_objects, mean_points, and per gripper: grasps by kind and label, the
-            success rate of
-        the judged library grasps, the reasons of failure, the share of scenes with any success,
-        and successes per scene.
+        scenes, runs (what each took), in_bin, mean_objects, mean_points, and per gripper: grasps
+        by kind and label, the success rate of the judged library grasps, the reasons of failure,
+        the share of scenes with any success, and successes per scene.
     """
-    dataset = SceneDataset(folder)
+    dataset = DevicePack(folder) if Path(folder).is_file() else SceneDataset(folder)
     grippers: dict[str, dict[str, Any]] = {}
     objects, points, bins = [], [], 0
     for index, record in enumerate(dataset):
@@ -52,6 +50,7 @@ def scene_stats(
             on_progress(index + 1, len(dataset))
     return {
         "scenes": len(dataset),
+        "runs": runs_of(Path(folder)),
         "in_bin": bins,
         "mean_objects": float(np.mean(objects)) if objects else 0.0,
         "mean_points": float(np.mean(points)) if points else 0.0,
@@ -69,27 +68,6 @@ def _summary(entry: dict[str, Any]) -> dict[str, Any]:
         "scenes_with_success": entry["any"] / max(1, entry["scenes"]),
         "successes_per_scene": entry["success"] / max(1, entry["scenes"]),
     }
-
-
-def verify_dataset(
-    folder: str | Path, on_progress: Callable[[int, int], object] | None = None
-) -> list[str]:
-    """Reads every record of a data set and returns what is wrong, one line each; empty when all is
-    well.
-    """
-    dataset = SceneDataset(folder)
-    problems: list[str] = []
-    known = {str(name) for name in dataset.manifests[0].get("grippers", {})}
-    for index, name in enumerate(dataset.names):
-        try:
-            record = dataset[index]
-        except DataError as error:
-            problems.append(f"{name}: {error}")
-        else:
-            problems.extend(f"{name}: {problem}" for problem in record_problems(record, known))
-        if on_progress is not None:
-            on_progress(index + 1, len(dataset))
-    return problems
 
 
 def record_problems(record: SceneRecord, grippers: set[str] | None = None) -> list[str]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import functools
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from megrasp_core.datasets.candidates import CandidateSettings, ObjectSurface, antipodal
 from megrasp_core.datasets.executors import ExecutorConfig, Progress, RunSummary, run_units
-from megrasp_core.datasets.library import pair_file, thinned, write_grasp_set
+from megrasp_core.datasets.files import remove_leftovers
+from megrasp_core.datasets.library import has_pair, thinned, write_grasp_set
 from megrasp_core.datasets.object_set import ObjectSet
 from megrasp_core.datasets.records import GraspSet
+from megrasp_core.datasets.run_log import log_run
 from megrasp_core.grippers import Gripper, load_gripper
 from megrasp_core.lie.pose import pose7_from_matrix
 from megrasp_core.objects import ObjectModel
@@ -221,8 +223,8 @@ def generate_library(
     names: Sequence[str] | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> RunSummary:
-    """Labels every pair whose file is missing in `folder`, all grippers of an object before the
-    next object.
+    """Labels every pair whose file is missing or damaged in `folder`, all grippers of an object
+    before the next object.
 
     Args:
         folder: library folder; an existing one is continued.
@@ -233,6 +235,8 @@ def generate_library(
         on_progress: called after every pair.
     """
     folder = Path(folder)
+    # Runs for other grippers may be at work in the same folder; none takes this long to write.
+    remove_leftovers(folder, age=3600.0)
     if names is None:
         order = np.random.default_rng(config.seed).permutation(len(config.objects.names))
         names = [config.objects.names[index] for index in order]
@@ -241,16 +245,24 @@ def generate_library(
         (gripper, name)
         for name in names
         for gripper in config.grippers
-        if not pair_file(folder, gripper_names[gripper], name).exists()
+        if not has_pair(folder, gripper_names[gripper], name)
     ]
 
     def keep(_: tuple[str, str], entry: GraspSet) -> None:
         write_grasp_set(folder, entry)
 
-    return run_units(
+    summary = run_units(
         functools.partial(_label_pair, config=config),
         units,
         executor,
         on_result=keep,
         on_progress=on_progress,
     )
+    made_with = {
+        "seed": config.seed,
+        "settings": asdict(config.settings),
+        "grippers": sorted(gripper_names.values()),
+        "objects": len(config.objects.names),
+    }
+    log_run(folder, executor, summary, made_with)
+    return summary

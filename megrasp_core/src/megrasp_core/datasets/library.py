@@ -8,6 +8,7 @@ file a gripper, with poses rounded to 0.01 mm and 0.003 degrees and the quality 
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,8 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from megrasp_core.datasets.files import (
+    DAMAGED,
+    DamagedError,
+    listed,
     open_npz,
     packed_npz,
+    set_aside,
     text_array,
     text_of,
     write_bytes,
@@ -26,8 +31,10 @@ from megrasp_core.datasets.records import GraspSet
 from megrasp_core.errors import DataError
 from megrasp_core.grippers import load_gripper
 
+log = logging.getLogger(__name__)
+
+QUATERNION = 32767.0
 _METRE = 1e-5
-_QUATERNION = 32767.0
 _PACKED = "megrasp grasp library 2"
 
 
@@ -74,6 +81,19 @@ def pair_file(folder: Path, gripper: str, object_name: str) -> Path:
     return Path(folder) / gripper / f"{object_name.replace('/', '__')}.npz"
 
 
+def has_pair(folder: Path, gripper: str, object_name: str) -> bool:
+    """Whether a library folder holds the labels of a pair; a damaged file is moved aside."""
+    path = pair_file(folder, gripper, object_name)
+    if not path.exists():
+        return False
+    try:
+        read_sets(path)
+    except DamagedError as error:
+        log.warning("%s; moved to %s", error, set_aside(path, Path(folder)))
+        return False
+    return True
+
+
 def write_grasp_set(folder: Path, entry: GraspSet) -> Path:
     """Writes the labels of one pair as a whole and returns the file."""
     path = pair_file(folder, entry.gripper, entry.object_name)
@@ -91,7 +111,7 @@ def continue_library(library: GraspLibrary, folder: Path) -> int:
         entry
         for entry in library
         if entry.gripper_hash == hashes[entry.gripper]
-        and not pair_file(folder, entry.gripper, entry.object_name).exists()
+        and not has_pair(folder, entry.gripper, entry.object_name)
     ]
     for entry in taken:
         write_grasp_set(folder, entry)
@@ -119,20 +139,47 @@ def pack_library(library: GraspLibrary, folder: Path, *, limit: int = 15_000_000
     return size
 
 
-def load_library(path: str | Path) -> GraspLibrary:
-    """Reads a packed file, a folder of packed files, or a folder that `write_grasp_set` filled.
+def library_files(path: str | Path) -> list[Path]:
+    """The files of a packed library, of a folder of such, or of one that `write_grasp_set` filled.
 
     Raises:
-        DataError: nothing there, or a file is damaged.
+        DataError: nothing there.
     """
     path = Path(path)
-    files = sorted(path.rglob("*.npz")) if path.is_dir() else [path]
+    if not path.is_dir():
+        return [path]
+    found = (file.relative_to(path) for file in path.rglob("*.npz"))
+    files = sorted(path / file for file in found if DAMAGED not in file.parts)
     if not files:
         raise DataError(
             f"{path} holds no .npz; expected a grasp library. Make one with `megrasp data grasps "
             f"--out {path}`."
         )
-    return GraspLibrary(entry for file in files for entry in _read(file))
+    return files
+
+
+def load_library(path: str | Path) -> GraspLibrary:
+    """Reads a packed file, a folder of packed files, or a folder that `write_grasp_set` filled.
+
+    Raises:
+        DataError: nothing there, or files are damaged; all of them are named.
+    """
+    files, sets = library_files(path), []
+    damaged: dict[Path, DamagedError] = {}
+    for file in files:
+        try:
+            sets.extend(read_sets(file))
+        except DamagedError as error:
+            damaged[file] = error
+    if len(damaged) > 1:
+        raise DataError(
+            f"{len(damaged)} of the {len(files)} files of {path} are damaged: {listed(damaged)}; "
+            f"expected a grasp library. Run `megrasp data verify --out {path} --repair`, then the "
+            "command that made it again."
+        )
+    for error in damaged.values():
+        raise error
+    return GraspLibrary(sets)
 
 
 def _arrays(sets: list[GraspSet]) -> dict[str, np.ndarray]:
@@ -156,7 +203,7 @@ def _arrays(sets: list[GraspSet]) -> dict[str, np.ndarray]:
     return {
         "meta": text_array(json.dumps(meta)),
         "position": np.rint(poses[:, :3] / _METRE).astype(np.int16),
-        "quaternion": np.rint(poses[:, 3:] * _QUATERNION).astype(np.int16),
+        "quaternion": np.rint(poses[:, 3:] * QUATERNION).astype(np.int16),
         "success": np.concatenate([e.success for e in sets] or [np.zeros(0, bool)]),
         "quality": np.rint(
             255.0 * np.concatenate([e.quality for e in sets] or [np.zeros(0)])
@@ -167,39 +214,56 @@ def _arrays(sets: list[GraspSet]) -> dict[str, np.ndarray]:
     }
 
 
-def _read(path: Path) -> Iterator[GraspSet]:
+def read_sets(path: Path) -> list[GraspSet]:
+    """The grasp sets of one file.
+
+    Raises:
+        DataError: the file is missing, something else, or of another version.
+        DamagedError: it is damaged.
+    """
     with open_npz(path) as file:
         try:
             meta = json.loads(text_of(file["meta"]))
-            position, quaternion = file["position"], file["quaternion"]
-            success, reason = file["success"], file["reason"]
-            quality = file["quality"].astype(np.float32) / 255.0
-        except (KeyError, ValueError) as error:
+            written = meta["format"]
+        except (KeyError, ValueError, TypeError) as error:
             raise DataError(
                 f"{path} is no grasp library ({error}); expected a file of `megrasp data grasps` "
                 "or `pack`."
             ) from error
-    if meta.get("format") != _PACKED:
-        raise DataError(f"{path} has format {meta.get('format')!r}; expected {_PACKED!r}.")
-    poses = np.hstack([position * _METRE, quaternion / _QUATERNION])
+        if written != _PACKED:
+            raise DataError(
+                f"{path} has format {written!r}; expected {_PACKED!r}. Make it again, in another "
+                "folder."
+            )
+        try:
+            poses = np.hstack([file["position"] * _METRE, file["quaternion"] / QUATERNION])
+            success = file["success"]
+            quality = file["quality"].astype(np.float32) / 255.0
+            reason = np.array([*meta["reasons"], ""], np.str_)[file["reason"]]
+            sets = meta["sets"]
+            counts = [int(entry[5]) for entry in sets]
+            shapes = [part.shape for part in (success, quality, reason)]
+            if poses.shape != (sum(counts), 7) or set(shapes) != {(sum(counts),)}:
+                raise ValueError(f"it does not hold the {sum(counts)} grasps that it counts")
+        except (KeyError, ValueError, TypeError, IndexError) as error:
+            raise DamagedError.of(path, error) from error
     norm = np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
     poses[:, 3:] /= np.maximum(norm, 1e-9)
-    names = np.array([*meta["reasons"], ""], np.str_)
-    start = 0
-    for gripper, digest, object_name, drawn, tried, count in meta["sets"]:
-        part = slice(start, start + count)
-        yield GraspSet(
+    ends = np.cumsum(counts, dtype=int)
+    return [
+        GraspSet(
             gripper,
             digest,
             object_name,
-            poses[part],
-            success[part],
-            quality[part],
-            names[reason[part]],
+            poses[end - count : end],
+            success[end - count : end],
+            quality[end - count : end],
+            reason[end - count : end],
             drawn,
             tried,
         )
-        start += count
+        for (gripper, digest, object_name, drawn, tried, count), end in zip(sets, ends)
+    ]
 
 
 def thinned(entry: GraspSet, failures: int) -> GraspSet:

@@ -148,8 +148,23 @@ def _made(stats: Mapping[str, Any], command: str | None) -> str:
         f"collided at the start, {_whole(stats['trials'])} went through the full trial.\n\n"
         f"{told}, and how it was packed:\n\n```\n{command or _command(stats)}\n"
         "megrasp data pack --out LIBRARY --into models/grasp_library\n```\n\n"
-        f"Versions when this card was written: megrasp_core {version('megrasp-core')}, "
-        f"MuJoCo {version('mujoco')}.\n"
+        f"{_runs(stats.get('runs', []))}"
+    )
+
+
+def _runs(runs: list[Mapping[str, Any]]) -> str:
+    if not runs:
+        return (
+            f"Versions when this card was written: megrasp_core {version('megrasp-core')}, "
+            f"MuJoCo {version('mujoco')}.\n"
+        )
+    seeds = sorted({str(run["seed"]) for run in runs if "seed" in run})
+    used = {f"{name} {number}" for run in runs for name, number in run["versions"].items()}
+    hours = sum(run["cpu_seconds"] for run in runs) / 3600.0
+    return (
+        f"{_whole(sum(run['done'] for run in runs))} pairs took {hours:.1f} CPU-hours "
+        f"({', '.join(sorted({run['cpu'] for run in runs}))}), seed {', '.join(seeds)}, with "
+        f"{', '.join(sorted(used))}.\nEach run, with its settings, is a line of `runs.jsonl`.\n"
     )
 
 

@@ -5,7 +5,6 @@ folder.
 from __future__ import annotations
 
 import functools
-import importlib.metadata
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,8 +19,10 @@ from megrasp_core.datasets.library import GraspLibrary, load_library
 from megrasp_core.datasets.object_set import ObjectSet
 from megrasp_core.datasets.observing import scene_surface
 from megrasp_core.datasets.records import SceneRecord, pack_normals
+from megrasp_core.datasets.run_log import log_run, versions
 from megrasp_core.datasets.scene_labels import SceneLabeller
-from megrasp_core.datasets.storage import SceneWriter, scene_name
+from megrasp_core.datasets.scene_writer import SceneWriter
+from megrasp_core.datasets.storage import scene_name
 from megrasp_core.errors import DataError, InvalidRequestError
 
 
@@ -106,9 +107,6 @@ def manifest_of(job: SceneJob) -> dict[str, Any]:
     """What identifies a data set: config, objects, grippers with their hashes, and the versions it
     was made with.
     """
-    versions = {
-        name: importlib.metadata.version(name) for name in ("megrasp-core", "mujoco", "numpy")
-    }
     return {
         "config": asdict(job.config),
         "objects": list(job.objects.names),
@@ -116,7 +114,7 @@ def manifest_of(job: SceneJob) -> dict[str, Any]:
             cached_gripper(name).name: cached_gripper(name).hash for name in job.config.grippers
         },
         "library": job.library.name,
-        "versions": versions,
+        "versions": versions(),
     }
 
 
@@ -143,7 +141,9 @@ def generate_scenes(
         What was done; seeds whose heap did not come to rest are listed as failed.
 
     Raises:
-        DataError: no objects, no library, or `folder` holds another data set.
+        DataError: no objects, no library, `folder` holds another data set, or another run is
+            writing to it.
+        OSError: `folder` cannot be written.
     """
     job = SceneJob(job.config, Path(job.library), job.objects)
     if not len(job.objects):
@@ -151,14 +151,18 @@ def generate_scenes(
             "the object set is empty; expected at least one object. Give procedural or asset "
             "objects."
         )
+    # Here too, so that a damaged library is told once and not by every scene.
+    _library(job.library)
     writer = SceneWriter(Path(folder), manifest_of(job), shard_size)
     try:
-        return run_units(
+        summary = run_units(
             functools.partial(_build, job=job),
             [seed for seed in seeds if seed not in writer],
             executor,
             on_result=lambda seed, record: writer.add(record),
             on_progress=on_progress,
         )
+        log_run(writer.folder, executor, summary)
+        return summary
     finally:
         writer.close()

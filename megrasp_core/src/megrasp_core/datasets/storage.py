@@ -5,15 +5,12 @@ a manifest.
     scenes/scene_0000000007.npz   finished scenes, not yet in a shard
     shards/shard_00000.npz        `shard_size` scenes each
 
-A scene's file is written as a whole, so a killed process loses the scene it was making and nothing
-else; a data set folder can be read while it grows.
+`scene_writer.py` writes them; a data set folder can be read while it grows.
 """
 
 from __future__ import annotations
 
 import json
-import zipfile
-import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,12 +18,13 @@ from typing import Any
 import numpy as np
 
 from megrasp_core.datasets.files import (
+    DamagedError,
+    NpzFile,
+    listed,
     open_npz,
     read_json,
     text_array,
     text_of,
-    write_json,
-    write_npz,
 )
 from megrasp_core.datasets.records import (
     GripperLabels,
@@ -111,77 +109,6 @@ def record_from_arrays(file: Any, prefix: str = "") -> SceneRecord:
     )
 
 
-class SceneWriter:
-    """Adds scenes to a data set folder and gathers them into shards. One writer a folder.
-
-    Args:
-        folder: made if missing; an existing data set is continued.
-        manifest: config and versions; must equal those of an existing data set.
-        shard_size: scenes a shard.
-
-    Raises:
-        DataError: the folder holds a data set made with another config.
-    """
-
-    def __init__(self, folder: Path, manifest: dict[str, Any], shard_size: int = 64) -> None:
-        self.folder = Path(folder)
-        self._shard_size = shard_size
-        self._manifest = {"format": FORMAT, **json.loads(json.dumps(manifest))}
-        path = self.folder / "manifest.json"
-        if path.exists():
-            before = read_json(path)
-            changed = sorted(
-                key
-                for key in {*before, *self._manifest} - {"counts", "versions"}
-                if before.get(key) != self._manifest.get(key)
-            )
-            if changed:
-                raise DataError(
-                    f"{self.folder} holds a data set that differs in {', '.join(changed)}; "
-                    "expected the same "
-                    "configuration to continue it. Give another --out, or the former options."
-                )
-        (self.folder / "scenes").mkdir(parents=True, exist_ok=True)
-        (self.folder / "shards").mkdir(parents=True, exist_ok=True)
-        self._done = set(_index(self.folder))
-        self._write_manifest()
-
-    def __contains__(self, seed: int) -> bool:
-        return scene_name(seed) in self._done
-
-    def __len__(self) -> int:
-        return len(self._done)
-
-    def add(self, record: SceneRecord) -> None:
-        """Writes one scene; a full set of loose scenes becomes a shard."""
-        write_npz(self.folder / "scenes" / f"{record.name}.npz", record_arrays(record))
-        self._done.add(record.name)
-        loose = sorted((self.folder / "scenes").glob("scene_*.npz"))
-        if len(loose) >= self._shard_size:
-            self._make_shard(loose[: self._shard_size])
-            self._write_manifest()
-
-    def close(self) -> None:
-        """Brings the manifest's counts up to date; loose scenes stay loose."""
-        self._write_manifest()
-
-    def _make_shard(self, files: list[Path]) -> None:
-        arrays: dict[str, np.ndarray] = {}
-        for path in files:
-            with open_npz(path) as file:
-                arrays.update({f"{path.stem}/{key}": file[key] for key in file.files})
-        arrays["names"] = text_array("\n".join(path.stem for path in files))
-        number = len(list((self.folder / "shards").glob("shard_*.npz")))
-        write_npz(self.folder / "shards" / f"shard_{number:05d}.npz", arrays)
-        # A kill between the two leaves scenes in both places; readers take the shard's.
-        for path in files:
-            path.unlink()
-
-    def _write_manifest(self) -> None:
-        counts = {"scenes": len(self._done)}
-        write_json(self.folder / "manifest.json", {**self._manifest, "counts": counts})
-
-
 class SceneDataset(Sequence[SceneRecord]):
     """Reads one or more data set folders, sorted by scene name within each; records are read when
     asked for.
@@ -190,7 +117,7 @@ class SceneDataset(Sequence[SceneRecord]):
         folders: data set folders, as written by `SceneWriter`.
 
     Raises:
-        DataError: a folder holds no data set.
+        DataError: a folder holds no data set, or shards are damaged; all of them are named.
     """
 
     def __init__(self, folders: str | Path | Iterable[str | Path]) -> None:
@@ -199,11 +126,20 @@ class SceneDataset(Sequence[SceneRecord]):
         self.folders = [Path(folder) for folder in folders]
         self.manifests: list[dict[str, Any]] = []
         self._entries: list[tuple[Path, Path, str, str]] = []
+        damaged: list[Path] = []
         for folder in self.folders:
-            self.manifests.append(_manifest(folder))
-            for name, (path, prefix) in sorted(_index(folder).items()):
+            self.manifests.append(read_manifest(folder))
+            found, without_names = scene_index(folder)
+            damaged.extend(without_names)
+            for name, (path, prefix) in sorted(found.items()):
                 self._entries.append((folder, path, prefix, name))
-        self._open: tuple[Path, Any] | None = None
+        if damaged:
+            raise DataError(
+                f"damaged: {listed(damaged)}; expected whole shards. Run `megrasp data verify "
+                "--repair --out` on that folder to move them aside, then the command that made "
+                "the data set: it makes their scenes anew."
+            )
+        self._open: tuple[Path, NpzFile] | None = None
 
     @property
     def names(self) -> list[str]:
@@ -217,7 +153,7 @@ class SceneDataset(Sequence[SceneRecord]):
         folder, path, prefix, name = self._entries[index]
         if not path.exists():
             # The generator has moved the scene into a shard since this data set was opened.
-            moved = _index(folder).get(name)
+            moved = scene_index(folder)[0].get(name)
             if moved is None:
                 raise DataError(
                     f"{folder} no longer holds {name}; expected {path}. Was the file deleted?"
@@ -226,20 +162,34 @@ class SceneDataset(Sequence[SceneRecord]):
             self._entries[index] = (folder, path, prefix, name)
         if self._open is None or self._open[0] != path:
             self._open = (path, open_npz(path))
-        try:
-            return record_from_arrays(self._open[1], prefix)
-        except (KeyError, ValueError, OSError, zipfile.BadZipFile, zlib.error) as error:
-            raise DataError(
-                f"{path} is damaged at {name} ({error}); expected a scene record. Delete the file "
-                "and run the generator again."
-            ) from error
+        return read_record(self._open[1], prefix, name)
 
     def __iter__(self) -> Iterator[SceneRecord]:
         for index in range(len(self)):
             yield self[index]
 
 
-def _manifest(folder: Path) -> dict[str, Any]:
+def read_record(file: NpzFile, prefix: str, name: str) -> SceneRecord:
+    """The record of a scene from an open file.
+
+    Raises:
+        DamagedError: the file holds something else there.
+    """
+    try:
+        record = record_from_arrays(file, prefix)
+        if record.name != name:
+            raise ValueError(f"it is named {record.name} within")
+    except (KeyError, ValueError, TypeError, IndexError) as error:
+        raise DamagedError.of(file.path, error, f" at {name}", "a scene record") from error
+    return record
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """The manifest of a data set.
+
+    Raises:
+        DataError: it is missing or damaged, or of another version.
+    """
     manifest = read_json(folder / "manifest.json")
     if manifest.get("format") not in READABLE:
         raise DataError(
@@ -249,13 +199,34 @@ def _manifest(folder: Path) -> dict[str, Any]:
     return manifest
 
 
-def _index(folder: Path) -> dict[str, tuple[Path, str]]:
-    """Scene name -> (file, key prefix)."""
-    found: dict[str, tuple[Path, str]] = {}
-    for path in sorted((folder / "scenes").glob("scene_*.npz")):
-        found[path.stem] = (path, "")
-    for path in sorted((folder / "shards").glob("shard_*.npz")):
-        with open_npz(path) as file:
-            for name in text_of(file["names"]).splitlines():
-                found[name] = (path, f"{name}/")
-    return found
+def scene_files(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Files of single scenes, and shards."""
+    # In this order: a scene that a generator at work moves meanwhile is then found in both.
+    loose = sorted((folder / "scenes").glob("scene_*.npz"))
+    return loose, sorted((folder / "shards").glob("shard_*.npz"))
+
+
+def shard_names(file: NpzFile) -> list[str]:
+    """Names of the scenes in an open shard.
+
+    Raises:
+        DamagedError: it does not tell.
+    """
+    try:
+        return text_of(file["names"]).splitlines()
+    except (KeyError, ValueError) as error:
+        raise DamagedError.of(file.path, error) from error
+
+
+def scene_index(folder: Path) -> tuple[dict[str, tuple[Path, str]], dict[Path, DamagedError]]:
+    """Scene name -> (file, key prefix), and the shards that do not tell what they hold."""
+    loose, shards = scene_files(folder)
+    found = {path.stem: (path, "") for path in loose}
+    damaged: dict[Path, DamagedError] = {}
+    for path in shards:
+        try:
+            with open_npz(path) as file:
+                found.update({name: (path, f"{name}/") for name in shard_names(file)})
+        except DamagedError as error:
+            damaged[path] = error
+    return found, damaged

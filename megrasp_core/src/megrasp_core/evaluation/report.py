@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
-import platform
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,6 +14,7 @@ import numpy as np
 import torch
 
 from ..grippers import Gripper
+from ..machine import processor
 from ..objects import ObjectModel
 from .planner import Planner
 from .protocols import ProtocolSettings, SceneOutcome, run_scene
@@ -132,16 +131,7 @@ def evaluate(
 
 def hardware() -> dict[str, Any]:
     """Processor, cores and threads, for result files."""
-    model = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        lines = [line for line in info.read_text().splitlines() if line.startswith("model name")]
-        model = lines[0].split(":", 1)[1].strip() if lines else model
-    found: dict[str, Any] = {
-        "cpu": model,
-        "cores": len(os.sched_getaffinity(0)),
-        "threads": torch.get_num_threads(),
-    }
+    found = {**processor(), "threads": torch.get_num_threads()}
     if torch.cuda.is_available():
         found["gpu"] = torch.cuda.get_device_name()
     return found

@@ -6,7 +6,7 @@ The stages called one by one give the very states of `mj_step`, so what is timed
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import mujoco
@@ -37,7 +37,7 @@ STAGES = {
 
 
 def profile_trials(
-    rig: FreeSpaceRig, object_from_gripper: Sequence[NDArray[np.float64]]
+    rig: FreeSpaceRig, object_from_gripper: Iterable[NDArray[np.float64]]
 ) -> dict[str, Any]:
     """Run trials and say what share of their time each stage took.
 

@@ -165,32 +165,50 @@ def scene_nodes(
 
     Raises EmptyRegionError when the surface holds no points.
     """
-    settings = settings or SceneSettings()
     if not len(surface.points):
         raise EmptyRegionError(
             "the surface holds no points; expected at least one. Check region and cloud."
         )
-    rng = np.random.default_rng(seed) if seed else None
-    rest, plane = np.flatnonzero(~surface.on_plane), np.flatnonzero(surface.on_plane)
-    kept = len(rest) + settings.plane_keep * len(plane)
+    counts = node_counts(surface.on_plane, settings or SceneSettings())
+    return nodes_at(surface, choose_nodes(surface.points, surface.on_plane, counts, seed))
+
+
+def node_counts(on_plane: BoolArray, settings: SceneSettings) -> tuple[int, int]:
+    """How many nodes are chosen among the points off the plane and on it."""
+    plane = int(np.count_nonzero(on_plane))
+    rest = len(on_plane) - plane
+    kept = rest + settings.plane_keep * plane
     scale = min(1.0, settings.max_nodes / kept) if kept else 0.0
     most = int(settings.plane_share * settings.max_nodes)
-    for_plane = min(int(np.ceil(scale * settings.plane_keep * len(plane))), most)
-    for_rest = min(len(rest), settings.max_nodes - for_plane)
+    for_plane = min(int(np.ceil(scale * settings.plane_keep * plane)), most)
+    for_rest = min(rest, settings.max_nodes - for_plane)
     if not for_rest and not for_plane:
         # Only the plane is there and none of it is to be kept: an empty table still needs one
         # node.
         for_plane = 1
+    return for_rest, for_plane
+
+
+def choose_nodes(
+    points: FloatArray, on_plane: BoolArray, counts: tuple[int, int], seed: int
+) -> NDArray[np.intp]:
+    """Return which of points (M, 3) are nodes: `counts` off the plane and on it, in the order of
+    farthest points; the seed is that of `scene_nodes`.
+    """
+    rng = np.random.default_rng(seed) if seed else None
     chosen = np.concatenate(
         [
-            part[_farthest(surface.points[part], count, rng)]
-            for part, count in ((rest, for_rest), (plane, for_plane))
+            part[_farthest(points[part], count, rng)]
+            for part, count in zip((np.flatnonzero(~on_plane), np.flatnonzero(on_plane)), counts)
             if count
         ]
     )
+    return chosen[_farthest(points[chosen], len(chosen), rng)]
+
+
+def nodes_at(surface: SurfaceCloud, chosen: NDArray[np.intp]) -> SceneNodes:
+    """The nodes at the chosen points of the surface, in their order."""
     points = surface.points[chosen]
-    order = _farthest(points, len(points), rng)
-    chosen, points = chosen[order], points[order]
     centroid = points.mean(axis=0)
     gravity = np.zeros(3) if surface.gravity is None else surface.gravity
     return SceneNodes(

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from ..datasets import SceneDataset, SceneRecord
+from ..datasets import TrainingScene
 from ..lie import se3
 from ..network import ModelConfig, SceneGraph, build_graph
-from ..pointcloud import SceneNodes, SceneSettings, SurfaceCloud, scene_nodes
+from ..pointcloud import SceneNodes, SceneSettings
 from .config import TrainConfig
 
 
@@ -43,7 +44,7 @@ class SceneBatch:
 
 
 def record_nodes(
-    record: SceneRecord, *, seed: int = 0, jitter: float = 0.0, drop_gravity: bool = False
+    record: TrainingScene, *, seed: int = 0, jitter: float = 0.0, drop_gravity: bool = False
 ) -> SceneNodes:
     """Nodes of a stored scene.
 
@@ -53,17 +54,9 @@ def record_nodes(
         jitter: noise (m) on the points.
         drop_gravity: leave gravity unknown.
     """
-    points, normals = record.surface()
-    surface = SurfaceCloud(
-        points=points,
-        normals=normals,
-        on_plane=record.on_plane,
-        sensor=record.sensor.astype(np.float64),
-        gravity=None if drop_gravity else record.gravity.astype(np.float64),
-        crop=points,
-        region=None,
-    )
-    nodes = scene_nodes(surface, SceneSettings(), seed)
+    nodes = record.nodes(SceneSettings(), seed)
+    if drop_gravity:
+        nodes = dataclasses.replace(nodes, gravity=np.zeros(3, np.float32))
     if jitter:
         noise = np.random.default_rng(seed).normal(0.0, jitter, nodes.points.shape)
         nodes = dataclasses.replace(nodes, points=nodes.points + noise.astype(np.float32))
@@ -74,25 +67,29 @@ class SceneSource:
     """Draws scenes and poses for training.
 
     Args:
-        dataset: where the scenes are.
+        dataset: the scenes.
         config: hyper-parameters.
         network: sizes, for the graph.
         indices: which scenes of the data set to draw from.
     """
 
     def __init__(
-        self, dataset: SceneDataset, config: TrainConfig, network: ModelConfig, indices: list[int]
+        self,
+        dataset: Sequence[TrainingScene],
+        config: TrainConfig,
+        network: ModelConfig,
+        indices: list[int],
     ) -> None:
         self._dataset = dataset
         self._config = config
         self._network = network
-        self._records: dict[int, SceneRecord] = {}
+        self._records: dict[int, TrainingScene] = {}
         self.indices = indices
 
     def __len__(self) -> int:
         return len(self.indices)
 
-    def record(self, index: int) -> SceneRecord:
+    def record(self, index: int) -> TrainingScene:
         """A scene, kept in memory after its first use."""
         if index not in self._records:
             self._records[index] = self._dataset[index]
@@ -112,7 +109,7 @@ class SceneSource:
                 return batch
 
     def batch(
-        self, record: SceneRecord, rng: np.random.Generator, *, augment: bool = True
+        self, record: TrainingScene, rng: np.random.Generator, *, augment: bool = True
     ) -> SceneBatch:
         """Nodes, graph and poses of one scene."""
         config = self._config

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..datasets import SceneDataset
+from ..datasets import open_scenes
 from ..diffusion import NoiseSchedule
 from ..errors import DataError
 from ..grippers import GripperTokens, load_gripper
@@ -41,8 +41,8 @@ def train(
     """Train, or go on training, a model.
 
     Args:
-        data: folder (or folders) of a scene data set; one that still grows is read again at
-        checkpoints.
+        data: folders of scene data sets, or device packs; one that still grows is read again at
+            checkpoints.
         out: folder for the checkpoint, `losses.jsonl`, `losses.png` and the averaged model.
         config: hyper-parameters; when resuming, the ends of the run are taken from it, all else
         from the
@@ -120,7 +120,7 @@ class _Run:
 
     def read(self, data: str | Path | list[str | Path]) -> None:
         """(Re)read the data set: a tenth of the scenes, by their place in the list, validates."""
-        dataset = SceneDataset(data)
+        dataset = open_scenes(data)
         if len(dataset) == self.scenes:
             return
         if len(dataset) < 2:
