@@ -75,6 +75,6 @@ def runs_of(folder: Path) -> list[dict[str, Any]]:
 
 def _lines(path: Path) -> Iterator[dict[str, Any]]:
     if path.is_file():
-        for line in path.read_text().splitlines():
+        for line in path.read_text(errors="replace").splitlines():
             with suppress(ValueError):
                 yield json.loads(line)
