@@ -5,11 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from dataset_records import record
+from made_library import made_set
 
 from megrasp_core.datasets import (
     GraspLibrary,
     GraspSet,
+    LabelSettings,
+    LibraryConfig,
     ObjectSet,
+    generate_library,
+    labelling,
     load_library,
     pack_library,
     procedural_names,
@@ -17,6 +22,7 @@ from megrasp_core.datasets import (
     write_grasp_set,
     write_recipes,
 )
+from megrasp_core.datasets.executors import RunSummary
 from megrasp_core.datasets.library import thinned
 from megrasp_core.datasets.object_set import SIZE_EDGES, balanced_shares
 from megrasp_core.errors import DataError, ObjectError
@@ -128,6 +134,31 @@ def test_recipes_keep_object_poses_exactly_and_grasps_within_rounding(tmp_path):
             for name in ("object", "label", "kind", "reason"):
                 np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
             np.testing.assert_allclose(first.world_from_tcp, second.world_from_tcp, atol=3e-5)
+
+
+def test_pairs_that_got_less_work_than_wanted_are_made_anew(tmp_path, monkeypatch):
+    """A library made with less effort is completed by the same command with more."""
+    wanted: list[tuple[str, str]] = []
+
+    def keep_units(_, units, *args, **kwargs) -> RunSummary:
+        del args, kwargs
+        wanted.extend(units)
+        return RunSummary()
+
+    monkeypatch.setattr(labelling, "run_units", keep_units)
+    names = procedural_names(5)
+    enough = ("slipped",) * 4
+    sets = [
+        made_set("franka_hand", names[0], 4, enough, 30, 8),
+        made_set("franka_hand", names[1], 4, enough[:3], 30, 7),
+        made_set("franka_hand", names[2], 4, enough[:3], 30, 20),  # no more than that is tried
+        made_set("franka_hand", names[3], 0, enough[:1], 30, 5),  # nothing to go on from
+    ]
+    for entry in sets:
+        write_grasp_set(tmp_path, entry)
+    settings = LabelSettings(target=4, trials=20)
+    generate_library(tmp_path, LibraryConfig(("franka_hand",), ObjectSet(names), 0, settings))
+    assert sorted(wanted) == [("franka_hand", names[1]), ("franka_hand", names[4])]
 
 
 def test_object_names_bring_models_back_and_wrong_ones_are_named(monkeypatch):

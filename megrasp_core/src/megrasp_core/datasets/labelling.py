@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from megrasp_core.datasets.candidates import CandidateSettings, ObjectSurface, antipodal
 from megrasp_core.datasets.executors import ExecutorConfig, Progress, RunSummary, run_units
 from megrasp_core.datasets.files import remove_leftovers
-from megrasp_core.datasets.library import has_pair, thinned, write_grasp_set
+from megrasp_core.datasets.library import find_pair, thinned, write_grasp_set
 from megrasp_core.datasets.object_set import ObjectSet
 from megrasp_core.datasets.records import GraspSet
 from megrasp_core.datasets.run_log import log_run
@@ -29,8 +29,10 @@ from megrasp_core.simulation import FreeSpaceResult, FreeSpaceRig, Reason
 STEP = 1.15
 """Factor by which moves grow or shrink."""
 
-SCALES = (0.2, 2.0)
-"""Smallest and largest moves as a multiple of the first; failures further away teach little."""
+SCALES = (0.2, 4.0)
+"""Smallest and largest moves as a multiple of the first. With less room, what holds almost anywhere
+fails too seldom, and successes are what takes time.
+"""
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class LabelSettings:
     """
 
     count: int = 1200
-    trials: int = 300
+    trials: int = 400
     target: int = 100
     fresh: float = 0.6
     failures: float = 1.0
@@ -62,6 +64,14 @@ class LabelSettings:
     move: float = 0.010
     turn: float = np.deg2rad(15.0)
     candidates: CandidateSettings = field(default_factory=CandidateSettings)
+
+    def is_over(self, held: int, tried: int, drawn: int) -> bool:
+        """Whether there is enough of everything, or no use in going on, after `drawn` grasps,
+        `tried` full trials and `held` successes.
+        """
+        enough = held >= self.target and tried - held >= round(self.failures * self.target)
+        hopeless = not held and tried >= self.hopeless
+        return enough or hopeless or tried >= self.trials or drawn >= 2 * self.count
 
 
 def label_object(
@@ -152,12 +162,8 @@ class _Trials:
 
     @property
     def is_over(self) -> bool:
-        """Whether there is enough of everything, or no use in going on."""
-        settings, tried = self._settings, len(self.results)
-        failures = round(settings.failures * settings.target)
-        enough = self.held >= settings.target and tried - self.held >= failures
-        hopeless = not self.held and tried >= settings.hopeless
-        return enough or hopeless or tried >= settings.trials or self.drawn >= 2 * settings.count
+        """Whether the pair got its work."""
+        return self._settings.is_over(self.held, len(self.results), self.drawn)
 
     def attempt(self, pose: NDArray[np.float64]) -> FreeSpaceResult:
         """Try a pre-grasp (4, 4) and keep it, unless it collides at the start."""
@@ -215,6 +221,14 @@ def _label_pair(unit: tuple[str, str], config: LibraryConfig) -> GraspSet:
     )
 
 
+def _is_finished(entry: GraspSet | None, settings: LabelSettings) -> bool:
+    if entry is None:
+        return False
+    held = int(entry.success.sum())
+    # Without any success the candidates were all there was to try.
+    return not held or settings.is_over(held, entry.tried, entry.drawn)
+
+
 def generate_library(
     folder: str | Path,
     config: LibraryConfig,
@@ -223,8 +237,8 @@ def generate_library(
     names: Sequence[str] | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> RunSummary:
-    """Labels every pair whose file is missing or damaged in `folder`, all grippers of an object
-    before the next object.
+    """Labels every pair whose file is missing or damaged in `folder`, or got less work than the
+    settings want, all grippers of an object before the next object.
 
     Args:
         folder: library folder; an existing one is continued.
@@ -245,7 +259,7 @@ def generate_library(
         (gripper, name)
         for name in names
         for gripper in config.grippers
-        if not has_pair(folder, gripper_names[gripper], name)
+        if not _is_finished(find_pair(folder, gripper_names[gripper], name), config.settings)
     ]
 
     def keep(_: tuple[str, str], entry: GraspSet) -> None:

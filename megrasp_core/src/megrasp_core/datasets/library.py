@@ -81,17 +81,18 @@ def pair_file(folder: Path, gripper: str, object_name: str) -> Path:
     return Path(folder) / gripper / f"{object_name.replace('/', '__')}.npz"
 
 
-def has_pair(folder: Path, gripper: str, object_name: str) -> bool:
-    """Whether a library folder holds the labels of a pair; a damaged file is moved aside."""
+def find_pair(folder: Path, gripper: str, object_name: str) -> GraspSet | None:
+    """The labels that a library folder holds of a pair, None where it has none; a damaged file is
+    moved aside.
+    """
     path = pair_file(folder, gripper, object_name)
     if not path.exists():
-        return False
+        return None
     try:
-        read_sets(path)
+        return read_sets(path)[0]
     except DamagedError as error:
         log.warning("%s; moved to %s", error, set_aside(path, Path(folder)))
-        return False
-    return True
+        return None
 
 
 def write_grasp_set(folder: Path, entry: GraspSet) -> Path:
@@ -111,7 +112,7 @@ def continue_library(library: GraspLibrary, folder: Path) -> int:
         entry
         for entry in library
         if entry.gripper_hash == hashes[entry.gripper]
-        and not has_pair(folder, entry.gripper, entry.object_name)
+        and find_pair(folder, entry.gripper, entry.object_name) is None
     ]
     for entry in taken:
         write_grasp_set(folder, entry)
