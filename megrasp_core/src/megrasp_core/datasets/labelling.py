@@ -30,8 +30,8 @@ STEP = 1.15
 """Factor by which moves grow or shrink."""
 
 SCALES = (0.2, 4.0)
-"""Smallest and largest moves as a multiple of the first. With less room, what holds almost anywhere
-fails too seldom, and successes are what takes time.
+"""Smallest and largest moves as a multiple of the first. With less room, what holds almost
+anywhere fails too seldom, and successes are what takes time.
 """
 
 
