@@ -30,6 +30,7 @@ from made_library import made_library, made_set
 
 from megrasp_core.datasets import (
     GraspSet,
+    LabelSettings,
     SceneDataset,
     SceneRecord,
     generate_scenes,
@@ -78,7 +79,8 @@ def made_pair(unit: tuple[str, str]) -> GraspSet:
     from megrasp_core.datasets.labelling import cached_gripper
 
     number = int(unit[1][-1])
-    entry = made_set(unit[0], unit[1], 3 + number, ("slipped",) * number, 40, 20)
+    tried = LabelSettings().trials  # or the next run would make it anew
+    entry = made_set(unit[0], unit[1], 3 + number, ("slipped",) * number, 2 * tried, tried)
     return replace(entry, gripper_hash=cached_gripper(unit[0]).hash)
 
 
