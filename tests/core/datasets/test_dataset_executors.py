@@ -90,7 +90,7 @@ def test_a_worker_killed_while_it_waits_does_not_hang_the_run(tmp_path):
         killed.extend(idle)
         for pid in idle:
             os.kill(pid, signal.SIGKILL)
-        if not over.wait(30):
+        if not over.wait(120):
             stuck.append(busy)
             os.kill(busy, signal.SIGKILL)
 

@@ -25,7 +25,7 @@ def test_the_units_seconds_are_counted_where_they_are_worked_on():
         summary = run_units(
             busy, [0.1, 0.2], ExecutorConfig(workers=workers), on_result=lambda *_: None
         )
-        assert 0.3 <= summary.cpu_seconds < 0.5
+        assert 0.3 <= summary.cpu_seconds < 1.0
 
 
 def test_runs_add_up_and_a_line_cut_short_is_left_out(tmp_path):

@@ -160,11 +160,10 @@ def _runs(runs: list[Mapping[str, Any]]) -> str:
         )
     seeds = sorted({str(run["seed"]) for run in runs if "seed" in run})
     used = {f"{name} {number}" for run in runs for name, number in run["versions"].items()}
-    hours = sum(run["cpu_seconds"] for run in runs) / 3600.0
     return (
-        f"{_whole(sum(run['done'] for run in runs))} pairs took {hours:.1f} CPU-hours "
-        f"({', '.join(sorted({run['cpu'] for run in runs}))}), seed {', '.join(seeds)}, with "
-        f"{', '.join(sorted(used))}.\nEach run, with its settings, is a line of `runs.jsonl`.\n"
+        f"{_whole(sum(run['done'] for run in runs))} pairs are of runs that were logged: seed "
+        f"{', '.join(seeds)}, {', '.join(sorted(used))}.\nEach, with its settings, is a line of "
+        "`runs.jsonl`.\n"
     )
 
 
