@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from megrasp_core.datasets import (
+    NOT_TRIED,
     ExecutorConfig,
     GraspLibrary,
     Kind,
@@ -202,6 +203,8 @@ def test_labels_are_what_the_simulation_says(scene, gripper):
     assert (tilt[kept] >= np.cos(CONFIG.tilt_bin) - 1e-6).all()
     colliding = np.flatnonzero(labels.kind == Kind.COLLISION)
     assert len(colliding) and (labels.label[colliding] == 0).all()
+    assert (labels.extra[colliding] == NOT_TRIED).all()
+    assert (labels.extra[labels.kind == Kind.JUDGED] != NOT_TRIED).all()
     for pose, reason in zip(gripper_poses(scene, gripper, colliding), labels.reason[colliding]):
         if reason == "start_collision":
             assert start_depths(world, pose[None])[0] > 0.0009
@@ -221,6 +224,7 @@ def test_judged_labels_agree_with_the_verdict_without_sleeping_bodies(scene, gri
         same.append(verdict.success == bool(labels.label[row]))
         if verdict.success and same[-1]:
             assert verdict.target == labels.object[row]
+            assert verdict.extra == labels.extra[row]
     # Symmetric copies inherit their label, and poses are rounded to float32: one may differ.
     assert len(same) >= 4 and sum(same) >= len(same) - 1
 

@@ -1,4 +1,4 @@
-"""Locking the joints that a grasp does not move changes neither shape nor verdict."""
+"""Leaving out what a grasp does not need changes neither shape, weight nor verdict."""
 
 from __future__ import annotations
 
@@ -98,7 +98,8 @@ def test_our_grippers_keep_their_shape_when_locked(name):
     def surface(world: World) -> np.ndarray:
         world.place_gripper(np.eye(4))
         world.forward()
-        return np.hstack([world.data.geom_xpos, world.data.geom_xmat])
+        touching = (world.model.geom_contype | world.model.geom_conaffinity) > 0
+        return np.hstack([world.data.geom_xpos, world.data.geom_xmat])[touching]
 
     worlds = [
         build_world([make_box((0.04,) * 3)], gripper=gripper, table=False, locked=locked)
@@ -106,7 +107,40 @@ def test_our_grippers_keep_their_shape_when_locked(name):
     ]
     np.testing.assert_allclose(surface(worlds[1]), surface(worlds[0]), atol=1e-6)
     moving = len(gripper.posture("open")) - len(idle_parts(gripper).joints)
-    assert worlds[1].model.njnt == moving + 2
+    free, locked = worlds[0].model, worlds[1].model
+    assert locked.njnt == moving + 2
+    assert len(surface(worlds[1])) == locked.ngeom < free.ngeom
+    for name in ("body_mass", "body_inertia", "body_ipos"):
+        np.testing.assert_allclose(getattr(locked, name), getattr(free, name), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("inertia", "compiler", "left"),
+    [
+        ('<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>', "", 1),
+        ("", "", 2),
+        (
+            '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>',
+            '<compiler inertiafromgeom="true"/>',
+            2,
+        ),
+    ],
+)
+def test_visual_geometry_that_weighs_something_stays(inertia, compiler, left):
+    text = f"""<mujoco>{compiler}<worldbody><body name="gripper">{inertia}
+     <geom type="box" size=".01 .01 .01"/>
+     <geom type="sphere" size=".02" contype="0" conaffinity="0"/>
+     </body></worldbody></mujoco>"""
+    gripper: Any = SimpleNamespace(
+        model=mujoco.MjModel.from_xml_string(text),
+        posture=lambda which: {},
+        control=lambda which: np.zeros(0),
+    )
+    spec = mujoco.MjSpec.from_string(text)
+    lock(spec, gripper)
+    locked = spec.compile()
+    assert locked.ngeom == left
+    assert locked.body_mass[1] == gripper.model.body_mass[1]
 
 
 def test_grasps_of_a_locked_hand_hold_as_before():

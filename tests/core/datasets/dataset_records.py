@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from megrasp_core.datasets import GripperLabels, Kind, SceneRecord
+from megrasp_core.datasets import NOT_TRIED, GripperLabels, Kind, SceneRecord
 from megrasp_core.simulation import Bin
 
 
@@ -17,7 +17,8 @@ def labels(rng: np.random.Generator, count: int, objects: int) -> GripperLabels:
     kind = np.where(label == 1, Kind.JUDGED, Kind.COLLISION).astype(np.int8)
     reason = np.where(label == 1, "", "start_collision")
     owner = rng.integers(0, objects, count).astype(np.int16)
-    return GripperLabels(pose, owner, label, kind, reason)
+    extra = np.where(label == 1, rng.integers(0, objects, count), NOT_TRIED).astype(np.int8)
+    return GripperLabels(pose, owner, label, kind, reason, extra)
 
 
 def record(seed: int, *, in_bin: bool = True) -> SceneRecord:
@@ -67,5 +68,5 @@ def assert_equal(first: SceneRecord, second: SceneRecord) -> None:
     assert sorted(first.labels) == sorted(second.labels)
     for gripper, a in first.labels.items():
         b = second.labels[gripper]
-        for name in ("world_from_tcp", "object", "label", "kind", "reason"):
+        for name in ("world_from_tcp", "object", "label", "kind", "reason", "extra"):
             np.testing.assert_array_equal(getattr(a, name), getattr(b, name))

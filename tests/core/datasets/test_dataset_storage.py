@@ -9,13 +9,17 @@ import pytest
 from dataset_records import assert_equal, record
 
 from megrasp_core.datasets import (
+    NOT_TRIED,
     Kind,
     SceneDataset,
     SceneWriter,
+    read_recipes,
     record_problems,
     scene_stats,
     verify_dataset,
+    write_recipes,
 )
+from megrasp_core.datasets.storage import record_arrays, record_from_arrays
 from megrasp_core.errors import DataError
 
 MANIFEST = {"config": {"judged": 8}, "grippers": {"first": "a", "second": "b", "third": "c"}}
@@ -102,6 +106,20 @@ def test_missing_and_damaged_data_are_named(tmp_path):
     assert finding.damaged and finding.lost == ("scene_0000000001",)
 
 
+def test_scenes_from_before_it_was_kept_do_not_tell_what_came_along(tmp_path):
+    one = record(3)
+    arrays = record_arrays(one)
+    del arrays["extra"]
+    write_recipes(tmp_path / "recipes.npz", [one])
+    with np.load(tmp_path / "recipes.npz") as file:
+        old = {name: file[name] for name in file.files if name != "extra"}
+    np.savez(tmp_path / "old.npz", **old)
+    for found in (record_from_arrays(arrays), *read_recipes(tmp_path / "old.npz")):
+        for name, labels in found.labels.items():
+            assert labels.extra.tolist() == [NOT_TRIED] * len(one.labels[name])
+            np.testing.assert_array_equal(labels.reason, one.labels[name].reason)
+
+
 def test_half_written_files_are_not_scenes(tmp_path):
     writer = SceneWriter(tmp_path, MANIFEST)
     writer.add(record(0))
@@ -157,6 +175,15 @@ def test_half_written_files_are_not_scenes(tmp_path):
             },
             "quaternions",
         ),
+        (
+            lambda r: {
+                "labels": {
+                    **r.labels,
+                    "first": replace(r.labels["first"], extra=np.full(7, 9, np.int8)),
+                }
+            },
+            "extra objects",
+        ),
     ],
 )
 def test_verify_names_what_is_wrong_with_a_record(change, expected):
@@ -179,4 +206,8 @@ def test_stats_count_labels(tmp_path):
     first = stats["grippers"]["first"]
     assert first["labels"] == {"judged_success": held, "collision_failure": 28 - held}
     assert first["successes_per_scene"] == held / 4
+    along = sum(int((r.labels["first"].extra > 0).sum()) for r in records)
+    assert 0 < along < held
+    assert first["successes_watched"] == held
+    assert first["successes_with_others_along"] == along
     assert stats["grippers"]["second"]["scenes_with_success"] == 0

@@ -49,6 +49,7 @@ def record(seed: int) -> SceneRecord:
         (np.arange(count) < 20).astype(np.int8),
         np.zeros(count, np.int8),
         np.full(count, "", np.str_),
+        np.zeros(count, np.int8),
     )
     return SceneRecord(
         name=f"scene_{seed:010d}",

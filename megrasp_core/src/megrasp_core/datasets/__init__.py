@@ -38,13 +38,14 @@ from megrasp_core.datasets.object_set import (
 from megrasp_core.datasets.packed_scene import PackedScene
 from megrasp_core.datasets.pictures import scene_picture
 from megrasp_core.datasets.recipes import read_recipes, with_cloud, write_recipes
-from megrasp_core.datasets.records import GraspSet, GripperLabels, Kind, SceneRecord
+from megrasp_core.datasets.records import NOT_TRIED, GraspSet, GripperLabels, Kind, SceneRecord
 from megrasp_core.datasets.scene_writer import SceneWriter
 from megrasp_core.datasets.scenes import SceneJob, build_scene, generate_scenes
 from megrasp_core.datasets.storage import SceneDataset
 from megrasp_core.datasets.training_scenes import TrainingScene, open_scenes
 
 __all__ = [
+    "NOT_TRIED",
     "CandidateSettings",
     "Candidates",
     "DevicePack",

@@ -182,7 +182,12 @@ class DevicePack(Sequence[PackedScene]):
         for name, count in counts.items():
             part = slice(start, start + count)
             labels[name] = GripperLabels(
-                pose[part], owner[part], outcome[part] & 1, outcome[part] >> 1, reason[part]
+                pose[part],
+                owner[part],
+                outcome[part] & 1,
+                outcome[part] >> 1,
+                reason[part],
+                GripperLabels.not_tried(count),
             )
             start += count
         return labels

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from megrasp_core.datasets.device_pack import DevicePack
-from megrasp_core.datasets.records import Kind, SceneRecord
+from megrasp_core.datasets.records import NOT_TRIED, GripperLabels, Kind, SceneRecord
 from megrasp_core.datasets.run_log import runs_of
 from megrasp_core.datasets.storage import SceneDataset
 
@@ -23,7 +23,8 @@ def scene_stats(
     Returns:
         scenes, runs (what each took), in_bin, mean_objects, mean_points, and per gripper: grasps
         by kind and label, the success rate of the judged library grasps, the reasons of failure,
-        the share of scenes with any success, and successes per scene.
+        of how many successes it is known what came along and with how many something did, the
+        share of scenes with any success, and successes per scene.
     """
     dataset = DevicePack(folder) if Path(folder).is_file() else SceneDataset(folder)
     grippers: dict[str, dict[str, Any]] = {}
@@ -35,7 +36,11 @@ def scene_stats(
         for name, labels in record.labels.items():
             entry = grippers.setdefault(
                 name,
-                {"count": Counter(), "reasons": Counter(), "scenes": 0, "any": 0, "success": 0},
+                {
+                    "count": Counter(),
+                    "reasons": Counter(),
+                    **dict.fromkeys(("scenes", "any", "success", "watched", "along"), 0),
+                },
             )
             entry["scenes"] += 1
             entry["any"] += bool((labels.label == 1).any())
@@ -44,6 +49,9 @@ def scene_stats(
                 entry["count"][
                     f"{Kind(int(kind)).name.lower()}_{'success' if label else 'failure'}"
                 ] += 1
+            watched = (labels.label == 1) & (labels.extra != NOT_TRIED)
+            entry["watched"] += int(watched.sum())
+            entry["along"] += int((watched & (labels.extra > 0)).sum())
             judged = (labels.kind == Kind.JUDGED) & (labels.label == 0)
             entry["reasons"].update(str(reason) for reason in labels.reason[judged])
         if on_progress is not None:
@@ -65,6 +73,8 @@ def _summary(entry: dict[str, Any]) -> dict[str, Any]:
         "labels": dict(sorted(count.items())),
         "judged_success_rate": held / (held + lost) if held + lost else None,
         "judged_failures": dict(entry["reasons"].most_common()),
+        "successes_watched": entry["watched"],
+        "successes_with_others_along": entry["along"],
         "scenes_with_success": entry["any"] / max(1, entry["scenes"]),
         "successes_per_scene": entry["success"] / max(1, entry["scenes"]),
     }
@@ -95,7 +105,7 @@ def record_problems(record: SceneRecord, grippers: set[str] | None = None) -> li
     return problems
 
 
-def _label_problems(labels: Any, objects: int) -> list[str]:
+def _label_problems(labels: GripperLabels, objects: int) -> list[str]:
     count = len(labels.label)
     if not count:
         return []
@@ -112,4 +122,8 @@ def _label_problems(labels: Any, objects: int) -> list[str]:
         problems.append("unknown kinds of label")
     if ((labels.label == 1) & (labels.kind == Kind.COLLISION)).any():
         problems.append("a colliding grasp is labelled a success")
+    if labels.extra.shape != (count,) or not (
+        NOT_TRIED <= labels.extra.min() <= labels.extra.max() <= objects
+    ):
+        problems.append(f"extra objects are not {count} numbers from {NOT_TRIED} to {objects}")
     return problems

@@ -78,6 +78,7 @@ def write_recipes(path: str | Path, records: Iterable[SceneRecord]) -> int:
             "label": joined.label,
             "kind": joined.kind,
             "reason": np.array([code[str(reason)] for reason in joined.reason], np.uint8),
+            "extra": joined.extra,
         },
     )
     return Path(path).stat().st_size
@@ -105,6 +106,8 @@ def read_recipes(path: str | Path) -> list[SceneRecord]:
     norm = np.linalg.norm(grasp[:, 3:], axis=1, keepdims=True)
     grasp[:, 3:] /= np.maximum(norm, 1e-6)
     reason = np.array([*meta["reasons"], ""], np.str_)[arrays["reason"]]
+    # Recipes made before it was kept have no such array.
+    extra = arrays["extra"] if "extra" in arrays else GripperLabels.not_tried(len(reason))
     records, first, start = [], 0, 0
     for scene in meta["scenes"]:
         last = first + len(scene["objects"])
@@ -117,6 +120,7 @@ def read_recipes(path: str | Path) -> list[SceneRecord]:
                 arrays["label"][part],
                 arrays["kind"][part],
                 reason[part],
+                extra[part],
             )
             start += count
         records.append(

@@ -64,6 +64,10 @@ class GraspSet:
         return self.object_from_tcp[self.success]
 
 
+NOT_TRIED = -1
+"""As `GripperLabels.extra`: it was not tried in the heap, or what rose was not kept."""
+
+
 @dataclass(frozen=True)
 class GripperLabels:
     """Labels of one gripper in one scene.
@@ -74,6 +78,7 @@ class GripperLabels:
         label: (K,) int8, 1 success, 0 failure.
         kind: (K,) int8, a `Kind`.
         reason: (K,) str, why it failed; "" for successes.
+        extra: (K,) int8, objects lifted besides the target (`Verdict.extra`), or NOT_TRIED.
     """
 
     world_from_tcp: NDArray[np.float32]
@@ -81,6 +86,7 @@ class GripperLabels:
     label: NDArray[np.int8]
     kind: NDArray[np.int8]
     reason: NDArray[np.str_]
+    extra: NDArray[np.int8]
 
     def __len__(self) -> int:
         return len(self.label)
@@ -94,6 +100,7 @@ class GripperLabels:
             np.zeros(0, np.int8),
             np.zeros(0, np.int8),
             np.zeros(0, np.str_),
+            np.zeros(0, np.int8),
         )
 
     @staticmethod
@@ -107,7 +114,13 @@ class GripperLabels:
             np.concatenate([p.label for p in parts]).astype(np.int8),
             np.concatenate([p.kind for p in parts]).astype(np.int8),
             np.concatenate([p.reason for p in parts]),
+            np.concatenate([p.extra for p in parts]).astype(np.int8),
         )
+
+    @staticmethod
+    def not_tried(count: int) -> NDArray[np.int8]:
+        """(count,) NOT_TRIED, as `extra`."""
+        return np.full(count, NOT_TRIED, np.int8)
 
 
 @dataclass(frozen=True)

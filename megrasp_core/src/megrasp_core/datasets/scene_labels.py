@@ -121,6 +121,7 @@ class SceneLabeller:
     def _judged(self, grasps: SceneGrasps, kind: Kind) -> GripperLabels:
         label = np.zeros(len(grasps), np.int8)
         reason = np.full(len(grasps), "", dtype="<U20")
+        extra = GripperLabels.not_tried(len(grasps))
         owner = grasps.object.copy()
         for index, pose in enumerate(grasps.pose):
             self._reset()
@@ -131,10 +132,11 @@ class SceneLabeller:
             )
             label[index] = verdict.success
             reason[index] = "" if verdict.success else verdict.reason.value
+            extra[index] = verdict.extra
             if verdict.success and verdict.target is not None:
                 owner[index] = verdict.target
         self._reset()
-        return _labels(grasps.pose, owner, label, kind, reason)
+        return _labels(grasps.pose, owner, label, kind, reason, extra)
 
     def _reset(self) -> None:
         """Back to the settled scene, nothing asleep: a trial must not depend on the one before."""
@@ -178,6 +180,7 @@ def _inherited(
         judged.label[source],
         Kind.JUDGED,
         judged.reason[source],
+        judged.extra[source],
     )
 
 
@@ -187,6 +190,7 @@ def _labels(
     label: int | NDArray[np.int8],
     kind: Kind,
     reason: NDArray[np.str_],
+    extra: NDArray[np.int8] | None = None,
 ) -> GripperLabels:
     count = len(owner)
     return GripperLabels(
@@ -195,4 +199,5 @@ def _labels(
         np.broadcast_to(np.asarray(label, np.int8), (count,)).copy(),
         np.full(count, int(kind), np.int8),
         reason,
+        GripperLabels.not_tried(count) if extra is None else extra,
     )

@@ -73,6 +73,7 @@ def record_arrays(record: SceneRecord, prefix: str = "") -> dict[str, np.ndarray
         "label": joined.label,
         "kind": joined.kind,
         "reason": np.array([code[str(reason)] for reason in joined.reason], np.uint8),
+        "extra": joined.extra,
     }
     return {prefix + key: value for key, value in arrays.items()}
 
@@ -85,12 +86,15 @@ def record_from_arrays(file: Any, prefix: str = "") -> SceneRecord:
     pose, owner = file[prefix + "world_from_tcp"], file[prefix + "object"]
     label, kind = file[prefix + "label"], file[prefix + "kind"]
     reason = reasons[file[prefix + "reason"]]
+    # Scenes made before it was kept have no such array.
+    kept = prefix + "extra" in file
+    extra = file[prefix + "extra"] if kept else GripperLabels.not_tried(len(label))
     labels: dict[str, GripperLabels] = {}
     start = 0
     for name, count in zip(meta["grippers"], meta["counts"]):
         part = slice(start, start + count)
         labels[name] = GripperLabels(
-            pose[part], owner[part], label[part], kind[part], reason[part]
+            pose[part], owner[part], label[part], kind[part], reason[part], extra[part]
         )
         start += count
     return SceneRecord(

@@ -1,7 +1,8 @@
-"""Joints that a grasp does not move: the wrist of a hand, fingers that stay folded.
+"""What a grasp does not need: joints that it does not move, geometry that touches nothing.
 
-They are as far in the open posture as in the closed one, and so are their commands. Where many
-trials are run, they are locked: the solver's time grows with the cube of the moving joints.
+The wrist of a hand and fingers that stay folded are as far in the open posture as in the closed
+one, and so are their commands. Where many trials are run, they are locked: the solver's time grows
+with the cube of the moving joints. Visual geometry would be moved along in every step.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ def idle_parts(gripper: Gripper) -> IdleParts:
 
 def lock(spec: mujoco.MjSpec, gripper: Gripper) -> None:
     """Take the idle parts out of `spec`, a fresh `gripper.spec()`, leaving their links as they
-    stand.
+    stand, and the geometry that neither touches nor weighs anything.
     """
     parts = idle_parts(gripper)
     posture = gripper.posture("open")
@@ -91,9 +92,19 @@ def lock(spec: mujoco.MjSpec, gripper: Gripper) -> None:
         *(equality for i, equality in enumerate(spec.equalities) if i in parts.equalities),
         *(tendon for tendon in spec.tendons if tendon.name in parts.tendons),
         *(joint for joint in spec.joints if joint.name in parts.joints),
+        *_weightless_visuals(spec),
     ]
     for element in doomed:
         spec.delete(element)
+
+
+def _weightless_visuals(spec: mujoco.MjSpec) -> Iterable[mujoco.MjsGeom]:
+    """Visual geoms of bodies whose inertia is written down and does not follow from them."""
+    if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
+        return
+    for body in spec.bodies:
+        if body.explicitinertial:
+            yield from (geom for geom in body.geoms if not geom.contype and not geom.conaffinity)
 
 
 def _stand(body: mujoco.MjsBody, posture: dict[str, float]) -> None:

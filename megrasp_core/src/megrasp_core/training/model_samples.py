@@ -13,7 +13,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..datasets import GripperLabels, Kind, ObjectSet, SceneDataset, SceneRecord, SceneWriter
+from ..datasets import (
+    NOT_TRIED,
+    GripperLabels,
+    Kind,
+    ObjectSet,
+    SceneDataset,
+    SceneRecord,
+    SceneWriter,
+)
 from ..diffusion import NoiseSchedule, SamplerSettings, last_step, sample_steps
 from ..grippers import Gripper, load_gripper
 from ..lie.pose import matrix_from_pose7, pose7_from_matrix
@@ -103,17 +111,17 @@ def judge_poses(
     free = np.flatnonzero(depth <= settings.max_depth)[: settings.judged]
     hit = np.flatnonzero(depth > settings.max_depth)[: settings.colliding]
     centres = np.asarray(record.object_poses[:, :3], np.float64)
-    rows: list[tuple[int, int, int, str]] = []
+    rows: list[tuple[int, int, int, str, int]] = []
     for index in free:
         world.restore(state)
         verdict = judge(world, world_from_gripper[index])
         nearest = int(np.linalg.norm(centres - world_from_tcp[index, :3, 3], axis=1).argmin())
         owner = nearest if verdict.target is None else verdict.target
         reason = "" if verdict.success else verdict.reason.value
-        rows.append((index, owner, int(verdict.success), reason))
+        rows.append((index, owner, int(verdict.success), reason, verdict.extra))
     for index in hit:
         nearest = int(np.linalg.norm(centres - world_from_tcp[index, :3, 3], axis=1).argmin())
-        rows.append((index, nearest, 0, "start_collision"))
+        rows.append((index, nearest, 0, "start_collision", NOT_TRIED))
     chosen = np.array([row[0] for row in rows], dtype=int)
     return GripperLabels(
         np.asarray(pose7_from_matrix(world_from_tcp[chosen]), np.float32).reshape(-1, 7),
@@ -121,6 +129,7 @@ def judge_poses(
         np.array([row[2] for row in rows], np.int8),
         np.full(len(rows), int(Kind.SAMPLED), np.int8),
         np.array([row[3] for row in rows], np.str_),
+        np.array([row[4] for row in rows], np.int8),
     )
 
 

@@ -221,4 +221,5 @@ def _labels(
         np.array([verdict.success for verdict in verdicts], np.int8),
         np.full(len(grasps), int(Kind.SAMPLED), np.int8),
         np.array(["" if v.success else v.reason.value for v in verdicts], np.str_),
+        np.array([verdict.extra for verdict in verdicts], np.int8),
     )
