@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from ..errors import InvalidRequestError
-from .common import Flag, emit, progress_bar, say
+from .common import Flag, block_writer, emit, progress_bar, say
 
 if TYPE_CHECKING:
     from ..evaluation.planner import Planner
@@ -133,6 +133,7 @@ def bench(
     model: str | None = None,
     threads: int | None = None,
     repeats: int = 7,
+    page: Path | None = None,
 ) -> int:
     """Seconds, CPU-seconds and memory of a synthesis, from cloud to ranked list.
 
@@ -142,7 +143,7 @@ def bench(
     Try:
       megrasp bench --threads 2 --out bench.json
       megrasp bench --stage render --out render.json
-      megrasp bench --stage data --out data.json
+      megrasp bench --stage data --out docs/data_bench.json --page docs/data.md
 
     Args:
         out: result file (JSON); by default printed.
@@ -152,9 +153,15 @@ def bench(
         model: id or folder (synthesis).
         threads: torch threads (synthesis); rendering takes one.
         repeats: timed calls per row.
+        page: markdown page whose lines between <!-- rates --> and <!-- /rates --> become tables
+            of the result (data).
     """
     if repeats < 1:
         raise InvalidRequestError(f"--repeats {repeats} was given; expected at least 1.")
+    if page is not None and stage != "data":
+        raise InvalidRequestError(
+            f"--page was given with --stage {stage}; expected --stage data, whose tables it takes."
+        )
     if stage == "render":
         from ..evaluation.render_bench import bench_rendering
 
@@ -166,10 +173,14 @@ def bench(
         return 0
     if stage == "data":
         from ..evaluation.bench_data import GRIPPERS, bench_data
+        from ..evaluation.rate_tables import rate_tables
 
+        write = block_writer(page, "rates") if page is not None else None
         with progress_bar(len(GRIPPERS), stage) as bar:
             content = bench_data(GRIPPERS, on_progress=lambda done, _: bar.update(done - bar.n))
         emit(content, out)
+        if write is not None:
+            write(rate_tables(content))
         return 0
     from ..evaluation.bench import bench_synthesis
     from ..synthesizer import GraspSynthesizer
