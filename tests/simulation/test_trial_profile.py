@@ -11,8 +11,10 @@ from megrasp_core.grippers import load_gripper
 from megrasp_core.simulation import FreeSpaceRig
 
 
-def test_the_stages_give_the_states_of_a_step():
-    rig = FreeSpaceRig(load_gripper("robotiq_2f85"), make_box((0.04, 0.04, 0.04)))
+@pytest.mark.parametrize("name", ["robotiq_2f85", "shadow_hand"])
+def test_the_stages_give_the_states_of_a_step(name):
+    """With dense constraint Jacobians, and with the sparse ones of hands."""
+    rig = FreeSpaceRig(load_gripper(name), make_box((0.04, 0.04, 0.04)))
     model, data = rig.world.model, rig.world.data
     rig.world.place_gripper(np.eye(4))
     rig.world.hand.drive(1.0)
