@@ -44,6 +44,7 @@ class LabelSettings:
 
     Attributes:
         count: candidates drawn at most, start collisions included.
+        moved: successes moved a little at most, start collisions included.
         trials: full trials at most.
         target: successes after which the pair is done.
         fresh: share of them that comes from candidates.
@@ -56,7 +57,8 @@ class LabelSettings:
     """
 
     count: int = 1200
-    trials: int = 400
+    moved: int = 12_000
+    trials: int = 1200
     target: int = 100
     fresh: float = 0.6
     failures: float = 1.0
@@ -71,7 +73,8 @@ class LabelSettings:
         """
         enough = held >= self.target and tried - held >= round(self.failures * self.target)
         hopeless = not held and tried >= self.hopeless
-        return enough or hopeless or tried >= self.trials or drawn >= 2 * self.count
+        spent = tried >= self.trials or drawn >= self.count + self.moved
+        return enough or hopeless or spent
 
 
 def label_object(
