@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zipfile
 from pathlib import Path
 
 
@@ -20,7 +22,15 @@ def garbage(path: Path) -> None:
 
 
 def flip(path: Path, at: float = 0.5) -> None:
-    """One byte comes back wrong."""
+    """One byte comes back wrong: of an archive, one of its largest member's content, since there
+    are bytes between the members that nobody reads.
+    """
     content = bytearray(path.read_bytes())
-    content[int(at * len(content))] ^= 0xFF
+    start, length = 0, len(content)
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            member = max(archive.infolist(), key=lambda info: info.compress_size)
+        name, extra = struct.unpack_from("<HH", content, member.header_offset + 26)
+        start, length = member.header_offset + 30 + name + extra, member.compress_size
+    content[start + int(at * length)] ^= 0xFF
     path.write_bytes(bytes(content))
