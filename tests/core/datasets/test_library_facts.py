@@ -113,3 +113,14 @@ def test_the_card_has_the_command_that_is_given():
     card = library_card(stats, "megrasp data grasps --out here --target 7")
     assert "megrasp data grasps --out here --target 7\n" in card
     assert "--procedural 4" not in card and "could be loaded" not in card
+
+
+def test_the_card_tells_what_the_logged_runs_took():
+    run = {"done": 30, "cpu_seconds": 5400.0, "cpu": "a chip", "seed": 3, "versions": {"x": "1"}}
+    untimed = {**run, "done": 12, "cpu_seconds": None, "cpu": "another"}
+    stats = library_stats(made_library(), [CUP])
+    card = library_card({**stats, "runs": [run, untimed]})
+    assert "labelled 42 times a pair" in card
+    assert "30 of them in 1.5 CPU-hours (a chip): seed 3, x 1." in card
+    card = library_card({**stats, "runs": [untimed]})
+    assert "labelled 12 times a pair" in card and "CPU-hours" not in card

@@ -160,11 +160,19 @@ def _runs(runs: list[Mapping[str, Any]]) -> str:
         )
     seeds = sorted({str(run["seed"]) for run in runs if "seed" in run})
     used = {f"{name} {number}" for run in runs for name, number in run["versions"].items()}
+    timed = [run for run in runs if run["cpu_seconds"] is not None]
+    hours = sum(run["cpu_seconds"] for run in timed) / 3600.0
+    cpus = ", ".join(sorted({run["cpu"] for run in timed}))
+    spent = f", {_whole(_done(timed))} of them in {hours:.1f} CPU-hours ({cpus})" if timed else ""
     return (
-        f"{_whole(sum(run['done'] for run in runs))} pairs are of runs that were logged: seed "
-        f"{', '.join(seeds)}, {', '.join(sorted(used))}.\nEach, with its settings, is a line of "
-        "`runs.jsonl`.\n"
+        f"Runs that were logged labelled {_whole(_done(runs))} times a pair, those that were done "
+        f"again with more effort\nincluded{spent}: seed {', '.join(seeds)}, "
+        f"{', '.join(sorted(used))}.\nEach, with its settings, is a line of `runs.jsonl`.\n"
     )
+
+
+def _done(runs: list[Mapping[str, Any]]) -> int:
+    return sum(run["done"] for run in runs)
 
 
 def _command(stats: Mapping[str, Any]) -> str:
