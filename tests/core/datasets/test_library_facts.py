@@ -120,7 +120,7 @@ def test_the_card_tells_what_the_logged_runs_took():
     untimed = {**run, "done": 12, "cpu_seconds": None, "cpu": "another"}
     stats = library_stats(made_library(), [CUP])
     card = library_card({**stats, "runs": [run, untimed]})
-    assert "labelled 42 times a pair" in card
-    assert "30 of them in 1.5 CPU-hours (a chip): seed 3, x 1." in card
+    assert "labelled 42 pairs" in card
+    assert "30 of them in 1.5 CPU-hours (a chip).\nSeed 3, x 1." in card
     card = library_card({**stats, "runs": [untimed]})
-    assert "labelled 12 times a pair" in card and "CPU-hours" not in card
+    assert "labelled 12 pairs" in card and "CPU-hours" not in card

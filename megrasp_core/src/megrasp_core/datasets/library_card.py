@@ -165,9 +165,9 @@ def _runs(runs: list[Mapping[str, Any]]) -> str:
     cpus = ", ".join(sorted({run["cpu"] for run in timed}))
     spent = f", {_whole(_done(timed))} of them in {hours:.1f} CPU-hours ({cpus})" if timed else ""
     return (
-        f"Runs that were logged labelled {_whole(_done(runs))} times a pair, those that were done "
-        f"again with more effort\nincluded{spent}: seed {', '.join(seeds)}, "
-        f"{', '.join(sorted(used))}.\nEach, with its settings, is a line of `runs.jsonl`.\n"
+        f"The runs that were logged labelled {_whole(_done(runs))} pairs, some of them again with "
+        f"more effort{spent}.\nSeed {', '.join(seeds)}, {', '.join(sorted(used))}. Each run, with "
+        "its settings, is a line of `runs.jsonl`.\n"
     )
 
 
