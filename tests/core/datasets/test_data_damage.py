@@ -11,14 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from harms import cut, empty, flip, garbage
-from made_runs import (
-    SCENES,
-    Run,
-    contents,
-    library_file,
-    made_record,
-    scenes_command,
-)
+from made_runs import SCENES, Run, contents, made_record, scenes_command
 
 from megrasp_core.cli import main
 from megrasp_core.datasets import (
@@ -28,11 +21,6 @@ from megrasp_core.datasets import (
 )
 from megrasp_core.datasets.files import DamagedError, open_npz, text_array, write_npz
 from megrasp_core.errors import DataError
-
-
-@pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return library_file(tmp_path_factory.mktemp("library"))
 
 
 @pytest.fixture(scope="module")

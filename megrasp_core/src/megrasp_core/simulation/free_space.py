@@ -67,8 +67,7 @@ class FreeSpaceResult:
 
 SPARSE_FROM = 24
 """Degrees of freedom from which trials take sparse constraint Jacobians, since a contact moves one
-finger only: trials of hands get up to a third faster, those of jaws would get a tenth slower.
-MuJoCo's own bound is 60.
+finger only: trials of hands get faster, those of jaws would get slower. MuJoCo's own bound is 60.
 """
 
 
