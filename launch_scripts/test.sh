@@ -35,7 +35,8 @@ pyright --pythonpath "$(command -v python)" || status=1
 
 echo "[test] pytest"
 # dash comes with open3d and brings a pytest plugin that nobody needs here
-options=(-q -p no:dash)
+# The same examples in every run, so that a run tells of this change; `pytest tests` alone draws new ones.
+options=(-q -p no:dash --hypothesis-profile=ci)
 if [ -n "${MEGRASP_JUNIT:-}" ]; then options+=("--junitxml=$MEGRASP_JUNIT"); fi
 python -m pytest "${options[@]}" "$@" || status=1
 
