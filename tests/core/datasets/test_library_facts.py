@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from made_library import made_library
+from made_library import made_library, made_set
 
 from megrasp_core.datasets import (
     GraspLibrary,
@@ -37,10 +37,13 @@ def test_counts_of_a_library():
         "start_collisions": 217,
         "yield": 104 / 442,
         "held_of_trials": 104 / 225,
+        "failure_to_success": 0.0,
+        "success_to_success": 0.0,
         "failures_by_reason": {"slipped": 102, "no_contact": 1},
         "hashes": ["hash of franka_hand"],
     }
     assert robotiq["objects_with_success"] == 1 and robotiq["objects_complete"] == 0
+    assert robotiq["failure_to_success"] is None
     assert robotiq["yield"] == 2 / 13 and robotiq["held_of_trials"] == 1.0
     total = {key: stats[key] for key in ("pairs", "pairs_with_success", "pairs_complete")}
     assert total == {"pairs": 5, "pairs_with_success": 3, "pairs_complete": 1}
@@ -53,6 +56,16 @@ def test_counts_of_a_library():
         "procedural/000000": {"able": 2, "labelled": 2},
         "procedural/000003": {"able": 0, "labelled": 1},
     }
+
+
+def test_how_far_failures_lie_from_successes():
+    """Successes at 0, 1 and 3 cm, failures at 5 and 7 cm; other pairs do not mix."""
+    near = made_set("franka_hand", "procedural/000000", 3, ("slipped", "slipped"), 9, 5)
+    near.object_from_tcp[:, 0] = [0.0, 0.01, 0.03, 0.05, 0.07]
+    alone = made_set("franka_hand", "procedural/000003", 1, (), 9, 1)
+    franka = library_stats(GraspLibrary([near, alone]))["grippers"]["franka_hand"]
+    assert franka["failure_to_success"] == pytest.approx(0.03)
+    assert franka["success_to_success"] == pytest.approx(0.01)
 
 
 def test_an_empty_library_has_no_rates():
@@ -97,7 +110,8 @@ def test_the_card_tells_the_counts():
     row = next(line for line in card.splitlines() if line.startswith("| franka_hand"))
     cells = [cell.strip() for cell in row.strip("|").split("|")]
     assert cells[1:] == [
-        "3", "2", "1", "104", "103", "442", "24%", "46%", "0.30", "`hash of fran`",
+        "3", "2", "1", "104", "103", "442", "24%", "46%", "0.30", "0 mm", "0 mm",
+        "`hash of fran`",
     ]  # fmt: skip
     assert "| nowhere | 1 | CC BY 4.0 |" in card and "meshes are not included" in card
     assert "| procedural | 2 | Apache-2.0" in card

@@ -22,12 +22,16 @@ COLUMNS = {
     "yield": "yield",
     "held_of_trials": "of full trials",
     "mean_quality": "mean quality",
+    "failure_to_success": "failure to success",
+    "success_to_success": "to the next",
     "hashes": "description",
 }
 LEGEND = f"""
 Held: objects with any success. {COMPLETE} + {COMPLETE}: objects with so many successes and
-failures or more. Yield: successes of all grasps drawn, start collisions included. Description:
-start of the hash of the `gripper.yaml` that the labels belong to.
+failures or more. Yield: successes of all grasps drawn, start collisions included. Failure to
+success: median distance of a failure's TCP from that of the nearest success of its pair; to the
+next: of a success's. Description: start of the hash of the `gripper.yaml` that the labels belong
+to.
 """
 REFERENCE = """
 Scans are by reference, set and name (`asset/<split>/<set>/<name>`): meshes are not included and
@@ -116,6 +120,8 @@ def _cell(key: str, value: Any) -> str:
         return "-"
     if key == "hashes":
         return ", ".join(f"`{digest[:12]}`" for digest in value)
+    if key.endswith("_to_success"):
+        return f"{1e3 * value:.0f} mm"
     if key == "mean_quality":
         return f"{value:.2f}"
     return f"{value:.0%}" if isinstance(value, float) else _whole(value)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from megrasp_core.datasets.library import GraspLibrary
 from megrasp_core.datasets.object_set import ObjectSet
@@ -87,9 +88,11 @@ def library_stats(library: GraspLibrary, facts: Sequence[ObjectFacts] = ()) -> d
         sums over all grippers of what `grippers` holds; grippers: per gripper objects, those with
         any success, those with at least COMPLETE successes and failures, successes, failures
         kept, full trials, drawn, start collisions, yield (successes / drawn), held_of_trials
-        (successes / full trials), mean quality of the successes, reasons of the failures kept,
-        hashes of the description; grippers_able: per object the grippers with any success on it
-        and those it was labelled for; sizes: of the objects with facts; terms by source.
+        (successes / full trials), mean quality of the successes, median distance (m) of the TCP
+        of a failure, and of a success, from that of the nearest other success of the pair, reasons
+        of the failures kept, hashes of the description; grippers_able: per object the grippers
+        with any success on it and those it was labelled for; sizes: of the objects with facts;
+        terms by source.
     """
     grippers = {
         name: _gripper([entry for entry in library if entry.gripper == name])
@@ -138,9 +141,27 @@ def _gripper(sets: Sequence[GraspSet]) -> dict[str, Any]:
         "yield": _share(held.sum(), drawn),
         "held_of_trials": _share(held.sum(), tried),
         "mean_quality": float(quality.mean()) if len(quality) else None,
+        "failure_to_success": _median([_to_success(entry, False) for entry in sets]),
+        "success_to_success": _median([_to_success(entry, True) for entry in sets]),
         "failures_by_reason": dict(reasons.most_common()),
         "hashes": sorted({entry.gripper_hash for entry in sets}),
     }
+
+
+def _to_success(entry: GraspSet, success: bool) -> np.ndarray:
+    """Distances (m) of the failures', or successes', TCPs from the nearest other success."""
+    held = np.asarray(entry.success, bool)
+    places = entry.object_from_tcp[:, :3]
+    if not held.any():
+        return np.zeros(0)
+    # A success is the nearest one to itself; without a second one its distance is infinite.
+    distance = KDTree(places[held]).query(places[held == success], k=2)[0][:, int(success)]
+    return distance[np.isfinite(distance)]
+
+
+def _median(parts: Sequence[np.ndarray]) -> float | None:
+    values = np.concatenate([np.zeros(0), *parts])
+    return float(np.median(values)) if len(values) else None
 
 
 def _share(part: float, whole: float) -> float | None:
