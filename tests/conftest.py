@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +14,10 @@ ROS_FOLDERS = {"ros"}
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Keep what the tests render in a folder of their own, not in the user's cache."""
+    """Keep what the tests render in a folder of their own, and hear Ctrl-C."""
+    # A shell's background jobs ignore it, and so would every process that a test starts.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     folder = tempfile.TemporaryDirectory(prefix="megrasp_cache_", ignore_cleanup_errors=True)
     os.environ["MEGRASP_CACHE"] = folder.name
     config.add_cleanup(folder.cleanup)
