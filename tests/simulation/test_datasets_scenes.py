@@ -205,6 +205,7 @@ def test_labels_are_what_the_simulation_says(scene, gripper):
     assert len(colliding) and (labels.label[colliding] == 0).all()
     assert (labels.extra[colliding] == NOT_TRIED).all()
     assert (labels.extra[labels.kind == Kind.JUDGED] != NOT_TRIED).all()
+    assert (labels.extra[labels.label == 1] != NOT_TRIED).all()
     for pose, reason in zip(gripper_poses(scene, gripper, colliding), labels.reason[colliding]):
         if reason == "start_collision":
             assert start_depths(world, pose[None])[0] > 0.0009

@@ -77,8 +77,8 @@ class SceneConfig:
             `fresh_rounds` rounds in all.
         kept_per_object: free grasps kept of an object.
         judged: free grasps tried in the heap, a gripper and scene.
-        closed: library grasps beyond those on which the fingers are closed only; those that touch
-            an object then are kept as unverified successes. Other free grasps are not kept.
+        judged_library: more of them, from the library, which hold more often. Free grasps that
+            are not tried are not kept.
         perturbed: perturbed grasps tried in the heap, a gripper and scene.
         colliding: colliding grasps kept as negatives, a gripper and scene.
         sleep: let objects at rest sleep in trials, which halves their time.
@@ -113,7 +113,7 @@ class SceneConfig:
     fresh_tilt: float = np.deg2rad(50.0)
     kept_per_object: int = 24
     judged: int = 8
-    closed: int = 4
+    judged_library: int = 4
     perturbed: int = 2
     colliding: int = 32
     sleep: bool = True

@@ -21,7 +21,9 @@ class Kind(IntEnum):
     """Where a scene's label comes from."""
 
     LIBRARY = 0
-    """Held in the free-space trial, free of collision in the scene; not tried in the heap."""
+    """Held in the free-space trial, free of collision in the scene; not tried in the heap. Only in
+    older scenes: now every success is one that was tried.
+    """
     JUDGED = 1
     """Tried in the heap by `simulation.judge`."""
     COLLISION = 2

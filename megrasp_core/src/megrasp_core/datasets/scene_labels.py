@@ -18,8 +18,7 @@ from megrasp_core.datasets.records import GripperLabels, Kind
 from megrasp_core.datasets.scene_grasps import Poses, SceneGrasps, SceneProposer
 from megrasp_core.grippers import Gripper
 from megrasp_core.lie.pose import matrix_from_pose7, pose7_from_matrix
-from megrasp_core.simulation import Reason, TrialSettings, judge
-from megrasp_core.simulation.motion import advance, closing
+from megrasp_core.simulation import judge
 
 
 class SceneLabeller:
@@ -56,12 +55,10 @@ class SceneLabeller:
         free = self._capped(tested.part(tested.reason == ""))
         _, first = np.unique(free.group, return_index=True)
         order = first[self._balanced(free.object[first])]
-        trials = order[: config.judged]
+        more = order[config.judged :]
+        more = more[free.library[more]][: config.judged_library]
+        trials = np.concatenate([order[: config.judged], more])
         judged = self._judged(free.part(trials), Kind.JUDGED)
-        rest = order[config.judged :]
-        rest = rest[free.library[rest]][: config.closed]
-        rest = rest[self._closing_reasons(free.pose[rest]) == ""]
-        rest = free.part(np.isin(free.group, free.group[rest]))
         held = judged.label == 1
         colliding = tested.part(tested.reason != "")
         colliding = colliding.part(self._balanced(colliding.object)[: config.colliding])
@@ -69,7 +66,6 @@ class SceneLabeller:
             [
                 judged,
                 _inherited(free, trials, judged),
-                _labels(rest.pose, rest.object, 1, Kind.LIBRARY, rest.reason),
                 self._perturbed(
                     np.asarray(matrix_from_pose7(judged.world_from_tcp[held])),
                     judged.object[held],
@@ -77,28 +73,6 @@ class SceneLabeller:
                 _labels(colliding.pose, colliding.object, 0, Kind.COLLISION, colliding.reason),
             ]
         )
-
-    def _closing_reasons(self, world_from_tcp: Poses) -> NDArray[np.str_]:
-        """(n,) "" where closing touches a graspable object, else the verdict's reason.
-
-        Fingers that swing forward jam on the floor, which no test of the open posture sees. This
-        is the first part of the verdict: most grasps that fail it fail here.
-        """
-        settings = TrialSettings()
-        motion = closing(self._world, settings.close_time, settings.close_ramp)
-        reason = np.full(len(world_from_tcp), "", dtype="<U20")
-        for index, pose in enumerate(world_from_tcp):
-            self._reset()
-            self._world.place_gripper(pose @ self._proposer.tcp_from_gripper)
-            advance(self._world, motion)
-            touched, _ = self._world.touched()
-            if self._world.unstable():
-                reason[index] = Reason.UNSTABLE.value
-            elif not touched & set(self._proposer.graspable):
-                obstacle = bool(touched & self._world.obstacles)
-                reason[index] = (Reason.OBSTACLE if obstacle else Reason.NO_CONTACT).value
-        self._reset()
-        return reason
 
     def _capped(self, free: SceneGrasps) -> SceneGrasps:
         """At most `kept_per_object` grasps of an object, whatever they come from."""
