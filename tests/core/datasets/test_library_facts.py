@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 from made_library import made_library, made_set
@@ -14,9 +15,11 @@ from megrasp_core.datasets import (
     asset_names,
     library_card,
     library_stats,
+    load_library,
     object_facts,
 )
 
+LIBRARY = Path(__file__).parents[3] / "models" / "grasp_library"
 CUP = ObjectFacts("asset/train/nowhere/cup", "nowhere", (0.04, 0.05, 0.09), 0.12, "CC BY 4.0")
 CAN = ObjectFacts("asset/train/nowhere/can", "nowhere", (0.06, 0.06, 0.10), 0.30, "CC BY 4.0")
 
@@ -66,6 +69,22 @@ def test_how_far_failures_lie_from_successes():
     franka = library_stats(GraspLibrary([near, alone]))["grippers"]["franka_hand"]
     assert franka["failure_to_success"] == pytest.approx(0.03)
     assert franka["success_to_success"] == pytest.approx(0.01)
+
+
+def test_the_committed_card_and_its_figures_are_those_of_the_committed_library():
+    """Sizes and terms aside, which need the outside objects."""
+    text = (LIBRARY / "stats.json").read_text()
+    counts = library_stats(load_library(LIBRARY))
+    told, found = (
+        json.loads(content, parse_float=lambda number: round(float(number), 6))
+        for content in (text, json.dumps(counts))
+    )
+    for key in set(found) - {"sizes", "terms"}:
+        assert told[key] == found[key], key
+    written = json.loads(text)
+    card = (LIBRARY / "README.md").read_text()
+    command = card.partition("how it was packed:\n\n```\n")[2].partition("\n")[0]
+    assert card == library_card(written, command)
 
 
 def test_an_empty_library_has_no_rates():

@@ -127,7 +127,7 @@ def stats(
         out: folder of `data grasps` or `data scenes`, a packed library, or a device pack.
         pictures: folder to draw into: of a library yield.png, grippers_per_object.png, objects.png
             and grasps.png, of scenes scenes.png.
-        card: markdown file to write about a library.
+        card: markdown file to write about a library; the counts go to stats.json beside it.
         command: with --card, the command that made the library.
     """
     from ..datasets.device_pack import SUFFIX
@@ -160,6 +160,7 @@ def _library_stats(
     out: Path, pictures: Path | None, card: Path | None, command: str | None
 ) -> int:
     from ..datasets import ObjectSet, library_card, library_stats, load_library, object_facts
+    from ..datasets.library_card import STATS
     from ..datasets.run_log import runs_of
 
     library, objects = load_library(out), ObjectSet(())
@@ -167,7 +168,7 @@ def _library_stats(
     with progress_bar(len(names), "objects") as bar:
         facts, missing = object_facts(names, objects, bar.update)
     content = {**library_stats(library, facts), "runs": runs_of(out)}
-    emit(content, None)
+    emit(content, None if card is None else card.with_name(STATS))
     if pictures is not None:
         from ..evaluation.library_pictures import library_pictures
 
@@ -179,7 +180,6 @@ def _library_stats(
         for note in notes:
             say(f"note: {note}")
     if card is not None:
-        card.parent.mkdir(parents=True, exist_ok=True)
         card.write_text(library_card(content, command))
         say(f"wrote {card}")
     return 0

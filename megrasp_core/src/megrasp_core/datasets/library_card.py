@@ -9,7 +9,10 @@ from typing import Any
 
 from megrasp_core.datasets.library_facts import COMPLETE, OWN_TERMS
 
-__all__ = ["library_card"]
+__all__ = ["STATS", "library_card"]
+
+STATS = "stats.json"
+"""Where the figures of a card lie, beside it."""
 
 PROCEDURAL = "procedural"
 COLUMNS = {
@@ -31,7 +34,8 @@ Held: objects with any success. {COMPLETE} + {COMPLETE}: objects with so many su
 failures or more. Yield: successes of all grasps drawn, start collisions included. Failure to
 success: median distance of a failure's TCP from that of the nearest success of its pair; to the
 next: of a success's. Description: start of the hash of the `gripper.yaml` that the labels belong
-to.
+to. All figures of this page are in `{STATS}`; `megrasp data stats --out LIBRARY --card FILE`
+writes both.
 """
 REFERENCE = """
 Scans are by reference, set and name (`asset/<split>/<set>/<name>`): meshes are not included and
