@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from dataset_records import record
@@ -10,6 +13,7 @@ from made_library import made_set
 from megrasp_core.datasets import (
     GraspLibrary,
     GraspSet,
+    Kind,
     LabelSettings,
     LibraryConfig,
     ObjectSet,
@@ -26,6 +30,8 @@ from megrasp_core.datasets.executors import RunSummary
 from megrasp_core.datasets.library import thinned
 from megrasp_core.datasets.object_set import SIZE_EDGES, balanced_shares
 from megrasp_core.errors import DataError, ObjectError
+
+MODELS = Path(__file__).parents[3] / "models"
 
 
 def grasp_set(gripper: str, name: str, count: int, seed: int) -> GraspSet:
@@ -183,3 +189,16 @@ def test_objects_are_drawn_evenly_over_sizes_and_categories():
     middle = [shares[(size == 1) & (kind == one)].sum() for one in np.unique(kind[size == 1])]
     np.testing.assert_allclose(middle, middle[0])
     assert balanced_shares(objects) is shares
+
+
+def test_the_models_page_tells_what_the_committed_recipes_hold():
+    page = (MODELS / "README.md").read_text()
+    found = {}
+    for path in MODELS.glob("scene_recipes_*.npz"):
+        records = read_recipes(path)
+        labels = [entry for record in records for entry in record.labels.values()]
+        held = np.concatenate([entry.kind[entry.label == 1] for entry in labels])
+        untried = int((held == Kind.LIBRARY).sum())
+        found[path.name] = (len(records), records[0].seed, f"{untried} of {len(held)}")
+    rows = re.findall(r"\| `(scene_\w+\.npz)` \| (\d+) \| (\d+) \|.*\| (\d+ of \d+) \|", page)
+    assert {name: (int(count), int(seed), held) for name, count, seed, held in rows} == found
