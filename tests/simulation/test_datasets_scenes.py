@@ -36,9 +36,11 @@ from megrasp_core.datasets import (
     write_recipes,
 )
 from megrasp_core.datasets.library import continue_library
+from megrasp_core.datasets.scene_labels import NEAR_METRES, NEAR_RADIANS, near_moves
 from megrasp_core.datasets.scenes import scene_grippers
 from megrasp_core.errors import DataError, InvalidRequestError
 from megrasp_core.grippers import Gripper, load_gripper
+from megrasp_core.grippers.family import procedural_rack
 from megrasp_core.lie.pose import matrix_from_pose7
 from megrasp_core.simulation import (
     FreeSpaceRig,
@@ -310,15 +312,52 @@ def test_ray_makes_the_same_library_and_scenes_bit_for_bit(packed, ray_cluster, 
 def test_a_scene_is_labelled_for_a_drawn_part_of_the_grippers(packed, library):
     grippers = ("robotiq_2f85", "franka_hand", "vx300s_gripper")
     config = replace(CONFIG, grippers=grippers, grippers_per_scene=2)
-    drawn = [scene_grippers(seed, config) for seed in range(12)]
+    drawn = [scene_grippers(seed, config, in_bin=False) for seed in range(12)]
     assert {name for names in drawn for name in names} == set(grippers)
     assert all(len(names) == 2 for names in drawn)
     record = build_scene(6, config, library, OBJECTS)
-    assert sorted(record.labels) == sorted(scene_grippers(6, config))
+    expected = scene_grippers(6, config, in_bin=record.bin is not None)
+    assert sorted(record.labels) == sorted(expected)
     assert record_problems(record, set(grippers)) == []
     assert record_problems(record, {"robotiq_2f85"})
     with pytest.raises(InvalidRequestError, match="grippers_per_scene is 4; expected 1 to 3"):
-        scene_grippers(0, replace(config, grippers_per_scene=4))
+        scene_grippers(0, replace(config, grippers_per_scene=4), in_bin=True)
+
+
+def test_hands_are_drawn_by_their_weight():
+    config = replace(
+        CONFIG,
+        grippers=("robotiq_2f85", "allegro_hand"),
+        grippers_per_scene=1,
+        hands_in_bins=0.0,
+        hands_on_tables=3.0,
+    )
+    in_bins = [scene_grippers(seed, config, in_bin=True)[0] for seed in range(40)]
+    assert set(in_bins) == {"robotiq_2f85"}
+    hands = sum(
+        scene_grippers(seed, config, in_bin=False)[0] == "allegro_hand" for seed in range(400)
+    )
+    assert 260 < hands < 340
+
+
+def test_a_scene_is_labelled_for_procedural_grippers_too(library):
+    config = replace(CONFIG, procedural_grippers=8, procedural_per_scene=2, bin_share=0.0)
+    record = build_scene(6, config, library, OBJECTS)
+    names = scene_grippers(6, config, in_bin=False)
+    assert list(record.labels) == names
+    assert len(names) == 3 and set(names[1:]) <= set(procedural_rack(8))
+    assert all(load_gripper(name).name == name for name in names)
+    assert sum(len(record.labels[name]) for name in names[1:])
+
+
+def test_near_misses_lie_in_the_stated_range():
+    moves = near_moves(500, np.random.default_rng(0))
+    length = np.linalg.norm(moves[:, :3, 3], axis=1)
+    angle = np.arccos(0.5 * (np.trace(moves[:, :3, :3], axis1=1, axis2=2) - 1.0))
+    for value, (low, high) in ((length, NEAR_METRES), (angle, NEAR_RADIANS)):
+        assert low - 1e-9 <= value.min() < low + 0.1 * (high - low)
+        assert high - 0.1 * (high - low) < value.max() <= high + 1e-9
+    assert near_moves(0, np.random.default_rng(0)).shape == (0, 4, 4)
 
 
 def test_bad_jobs_are_refused(packed, tmp_path):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from ..errors import InvalidRequestError
-from .common import emit, progress_bar, say
+from .common import Flag, emit, progress_bar, say
 
 if TYPE_CHECKING:
     from ..datasets import ExecutorConfig, ObjectSet, Progress, RunSummary
@@ -73,8 +73,15 @@ def scenes(
     num_scenes: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 100,
     gripper: Grippers = TRAINED,
     grippers_per_scene: int | None = None,
+    procedural_grippers: int = 0,
+    trials: int = 12,
+    moved: int = 2,
+    bins: float = 0.75,
+    hands_in_bins: float = 1.0,
+    hands_on_tables: float = 1.0,
     procedural: int = 60,
     assets: bool = True,
+    validation: Flag = False,
     executor: Executor = "local",
     address: str | None = None,
     workers: int = 1,
@@ -92,8 +99,16 @@ def scenes(
         gripper: names or folders.
         grippers_per_scene: so many of them are labelled in a scene, drawn anew for each; all
             without it.
+        procedural_grippers: one of so many procedural grippers is labelled besides in each scene.
+        trials: free grasps tried in the heap, a gripper and scene.
+        moved: successes moved a little and tried again, a gripper and scene.
+        bins: share of the scenes that lie in a bin; the rest lie on a table.
+        hands_in_bins: how often a hand is drawn for a bin for every time that a jaw is.
+        hands_on_tables: the same for tables.
         procedural: number of procedural objects to draw from.
         assets: draw from the train scans under MEGRASP_ASSETS as well, where it is set.
+        validation: draw from objects that training never sees instead: the validation tenth of
+            the scans, and other procedural ones.
         executor: local processes or a Ray cluster.
         address: of the Ray cluster.
         workers: processes or tasks in flight.
@@ -103,8 +118,30 @@ def scenes(
 
     if num_scenes < 1:
         raise InvalidRequestError(f"--num-scenes {num_scenes} was given; expected at least 1.")
-    scene = SceneConfig(grippers=tuple(gripper), grippers_per_scene=grippers_per_scene)
-    job = SceneJob(scene, library, _objects(procedural, assets))
+    least = {"trials": trials, "moved": moved, "procedural-grippers": procedural_grippers}
+    for name, value in least.items():
+        if value < 0:
+            raise InvalidRequestError(f"--{name} {value} was given; expected 0 or more.")
+    if not 0.0 <= bins <= 1.0:
+        raise InvalidRequestError(f"--bins {bins} was given; expected a share from 0 to 1.")
+    if min(hands_in_bins, hands_on_tables) < 0.0:
+        raise InvalidRequestError(
+            f"--hands-in-bins {hands_in_bins} and --hands-on-tables {hands_on_tables} were "
+            "given; expected 0 or more."
+        )
+    scene = SceneConfig(
+        grippers=tuple(gripper),
+        grippers_per_scene=grippers_per_scene,
+        procedural_grippers=procedural_grippers,
+        # A third of them from the library alone, whose grasps hold more often.
+        judged=trials - trials // 3,
+        judged_library=trials // 3,
+        perturbed=moved,
+        bin_share=bins,
+        hands_in_bins=hands_in_bins,
+        hands_on_tables=hands_on_tables,
+    )
+    job = SceneJob(scene, library, _objects(procedural, assets, validation))
     seeds = range(seed, seed + num_scenes)
     with _bar("scenes") as tell:
         summary = generate_scenes(
@@ -185,14 +222,15 @@ def _library_stats(
     return 0
 
 
-def _objects(procedural: int, assets: bool) -> ObjectSet:
+def _objects(procedural: int, assets: bool, validation: bool = False) -> ObjectSet:
     import os
 
-    from ..datasets import training_objects
+    from ..datasets import training_objects, validation_objects
 
     if procedural < 0:
         raise InvalidRequestError(f"--procedural {procedural} was given; expected 0 or more.")
-    return training_objects(procedural, assets=assets and bool(os.environ.get("MEGRASP_ASSETS")))
+    objects = validation_objects if validation else training_objects
+    return objects(procedural, assets=assets and bool(os.environ.get("MEGRASP_ASSETS")))
 
 
 def _executor(kind: Executor, address: str | None, workers: int) -> ExecutorConfig:

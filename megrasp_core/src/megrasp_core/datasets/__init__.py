@@ -34,6 +34,7 @@ from megrasp_core.datasets.object_set import (
     asset_names,
     procedural_names,
     training_objects,
+    validation_objects,
 )
 from megrasp_core.datasets.packed_scene import PackedScene
 from megrasp_core.datasets.pictures import scene_picture
@@ -93,6 +94,7 @@ __all__ = [
     "scene_picture",
     "scene_stats",
     "training_objects",
+    "validation_objects",
     "verify_dataset",
     "verify_library",
     "verify_pack",

@@ -207,7 +207,7 @@ class LibraryConfig:
     settings: LabelSettings = field(default_factory=LabelSettings)
 
 
-@functools.lru_cache(maxsize=16)
+@functools.lru_cache(maxsize=256)
 def cached_gripper(name: str) -> Gripper:
     """The gripper of a name, loaded once a process."""
     return load_gripper(name)

@@ -61,6 +61,11 @@ class SceneConfig:
         bin_tilted: share of the bins that are tilted.
         table_region: size of the region of interest on a table.
         grippers_per_scene: so many of them, drawn anew for every scene, are labelled; None: all.
+        hands_in_bins, hands_on_tables: how often a hand is drawn for every time a jaw is; a hand
+            finds no free grasp in most bins.
+        procedural_grippers: size of the rack of procedural grippers (seeds 0, 1, ...).
+        procedural_per_scene: so many of the rack, drawn anew for every scene, are labelled
+            besides, all from fresh candidates.
         obstacle_share: share of scenes with one to three obstacles.
         camera_height, camera_shift, camera_tilt: camera over the origin, and how far its pose
             varies.
@@ -96,6 +101,10 @@ class SceneConfig:
     table_region: tuple[float, float, float] = (0.50, 0.40, 0.25)
     obstacle_share: float = 0.3
     grippers_per_scene: int | None = None
+    hands_in_bins: float = 1.0
+    hands_on_tables: float = 1.0
+    procedural_grippers: int = 0
+    procedural_per_scene: int = 1
     camera_height: float = 0.85
     camera_shift: float = 0.03
     camera_tilt: float = np.deg2rad(4.0)

@@ -20,6 +20,10 @@ from megrasp_core.grippers import Gripper
 from megrasp_core.lie.pose import matrix_from_pose7, pose7_from_matrix
 from megrasp_core.simulation import judge
 
+NEAR_METRES = (0.002, 0.010)
+NEAR_RADIANS = (0.05, 0.3)
+"""Least and largest move of a near miss (DESIGN section 5)."""
+
 
 class SceneLabeller:
     """Labels one settled scene for one gripper.
@@ -123,11 +127,7 @@ class SceneLabeller:
         """
         count = min(self._config.perturbed, len(positives))
         chosen = self._rng.permutation(len(positives))[:count]
-        move = np.tile(np.eye(4), (count, 1, 1))
-        move[:, :3, 3] = self._rng.normal(scale=0.008, size=(count, 3))
-        if count:
-            turn = self._rng.normal(scale=np.deg2rad(10.0), size=(count, 3))
-            move[:, :3, :3] = Rotation.from_rotvec(turn).as_matrix()
+        move = near_moves(count, self._rng)
         tested = self._proposer.tested(
             SceneGrasps.untested(positives[chosen] @ move, owners[chosen], library=False)
         )
@@ -139,6 +139,20 @@ class SceneLabeller:
                 _labels(hit.pose, hit.object, 0, Kind.PERTURBED, hit.reason),
             ]
         )
+
+
+def near_moves(count: int, rng: np.random.Generator) -> Poses:
+    """Moves (n, 4, 4) in the TCP frame by lengths and angles even over `NEAR_METRES` and
+    `NEAR_RADIANS`, each in any direction: from where most grasps still hold to where most fail.
+    """
+    move = np.tile(np.eye(4), (count, 1, 1))
+    axes = rng.normal(size=(2, count, 3))
+    axes /= np.maximum(np.linalg.norm(axes, axis=2, keepdims=True), 1e-12)
+    move[:, :3, 3] = axes[0] * rng.uniform(*NEAR_METRES, size=(count, 1))
+    if count:
+        turn = axes[1] * rng.uniform(*NEAR_RADIANS, size=(count, 1))
+        move[:, :3, :3] = Rotation.from_rotvec(turn).as_matrix()
+    return move
 
 
 def _inherited(

@@ -24,6 +24,7 @@ from megrasp_core.datasets.scene_labels import SceneLabeller
 from megrasp_core.datasets.scene_writer import SceneWriter
 from megrasp_core.datasets.storage import scene_name
 from megrasp_core.errors import DataError, InvalidRequestError
+from megrasp_core.grippers.family import procedural_gripper_name, procedural_rack
 
 
 def build_scene(
@@ -46,7 +47,7 @@ def build_scene(
     layout = draw_layout(seed, config, objects)
     surface = scene_surface(layout, seed, config, objects)
     labels = {}
-    for name in scene_grippers(seed, config):
+    for name in scene_grippers(seed, config, in_bin=layout.bin is not None):
         gripper = cached_gripper(name)
         labels[gripper.name] = SceneLabeller(
             layout, gripper, library, objects, seed, config
@@ -67,16 +68,37 @@ def build_scene(
     )
 
 
-def scene_grippers(seed: int, config: SceneConfig) -> list[str]:
-    """Grippers that the scene of a seed is labelled for, in the order of the config."""
+def scene_grippers(seed: int, config: SceneConfig, *, in_bin: bool) -> list[str]:
+    """Grippers that the scene of a seed is labelled for: those of the config in its order, then
+    procedural ones.
+
+    Raises:
+        InvalidRequestError: more grippers a scene than there are.
+    """
+    rng = stream(seed, LABELS)
     count = len(config.grippers)
     wanted = count if config.grippers_per_scene is None else config.grippers_per_scene
     if not 1 <= wanted <= count:
         raise InvalidRequestError(
             f"grippers_per_scene is {wanted}; expected 1 to {count}, the number of grippers."
         )
-    chosen = stream(seed, LABELS).permutation(count)[:wanted]
-    return [config.grippers[index] for index in sorted(chosen)]
+    of_hands = config.hands_in_bins if in_bin else config.hands_on_tables
+    weight = np.array(
+        [
+            of_hands if cached_gripper(name).description.kind == "hand" else 1.0
+            for name in config.grippers
+        ]
+    )
+    # Those with the first arrivals of Poisson processes with these rates: drawn without
+    # replacement in proportion to the weights.
+    arrival = rng.exponential(size=count) / np.maximum(weight, 1e-9)
+    chosen = np.argsort(arrival)[:wanted]
+    rack = min(config.procedural_per_scene, config.procedural_grippers)
+    numbers = rng.permutation(config.procedural_grippers)[:rack]
+    return [
+        *(config.grippers[index] for index in sorted(chosen)),
+        *(procedural_gripper_name(int(number)) for number in sorted(numbers)),
+    ]
 
 
 @dataclass(frozen=True)
@@ -111,7 +133,8 @@ def manifest_of(job: SceneJob) -> dict[str, Any]:
         "config": asdict(job.config),
         "objects": list(job.objects.names),
         "grippers": {
-            cached_gripper(name).name: cached_gripper(name).hash for name in job.config.grippers
+            cached_gripper(name).name: cached_gripper(name).hash
+            for name in [*job.config.grippers, *procedural_rack(job.config.procedural_grippers)]
         },
         "library": job.library.name,
         "versions": versions(),

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from megrasp_core.errors import DescriptionError, UnknownGripperError
 from megrasp_core.grippers.description import FILE_NAME
+from megrasp_core.grippers.family import load_procedural
 from megrasp_core.grippers.gripper import Gripper
 from megrasp_core.grippers.model_file import ASSET_VARIABLE
 
@@ -69,7 +70,8 @@ def list_grippers(extra_paths: Iterable[str | Path] = ()) -> list[str]:
 
 
 def load_gripper(name_or_folder: str | Path, extra_paths: Iterable[str | Path] = ()) -> Gripper:
-    """Load a gripper by its registered name, or from the folder (or path) of a `gripper.yaml`.
+    """Load a gripper by its registered name, from the folder (or path) of a `gripper.yaml`, or a
+    procedural one by its name (`angular_000042`: kind and seed), which is made anew.
 
     Raises:
         UnknownGripperError: no such name, and no such folder (code 200).
@@ -90,6 +92,9 @@ def load_gripper(name_or_folder: str | Path, extra_paths: Iterable[str | Path] =
     path = Path(name_or_folder).expanduser()
     if os.path.exists(path):
         return Gripper.from_path(path)
+    procedural = load_procedural(name)
+    if procedural is not None:
+        return procedural
     raise UnknownGripperError(name, registered)
 
 
