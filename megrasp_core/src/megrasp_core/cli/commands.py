@@ -17,6 +17,7 @@ from .look import look
 from .objects import generate
 from .pack import pack
 from .postures import postures
+from .render import render as render_recipes
 from .rollouts import rollouts
 from .synthesize import synthesize
 from .train import train
@@ -52,6 +53,7 @@ def app() -> SubcommandApp:
         stats=stats,
         verify=verify,
         look=look,
+        render=render_recipes,
         plan=plan,
         samples=samples,
         rollouts=rollouts,
