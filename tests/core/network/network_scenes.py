@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
+import torch
 from scipy.spatial.transform import Rotation
 
 from megrasp_core.grippers import GripperTokens
-from megrasp_core.pointcloud import SceneNodes
+from megrasp_core.network.irreps import pack, unpack
+from megrasp_core.pointcloud import SceneNodes, SurfacePoints
 
 
 def scene(count: int = 300, seed: int = 0) -> SceneNodes:
@@ -19,7 +22,16 @@ def scene(count: int = 300, seed: int = 0) -> SceneNodes:
     normals = rng.normal(size=(count, 3))
     normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
     gravity = np.array([0.0, 0.0, -1.0], np.float32)
-    return SceneNodes(points, normals, rng.random(count) < 0.3, gravity, np.zeros(3))
+    fine = rng.uniform(-0.15, 0.15, (4 * count, 3)).astype(np.float32)
+    surface = SurfacePoints(
+        fine, np.roll(np.tile(normals, (4, 1)), 1, 0), rng.random(4 * count) < 0.3
+    )
+    return SceneNodes(points, normals, rng.random(count) < 0.3, gravity, np.zeros(3), surface)
+
+
+def on_flat(layer: torch.nn.Module) -> Callable[[torch.Tensor], torch.Tensor]:
+    """A layer from flat features to flat features, e3nn's layout."""
+    return lambda x: pack(layer(unpack(x, layer.irreps_in)))
 
 
 def tokens(count: int, seed: int = 1) -> GripperTokens:
@@ -36,11 +48,18 @@ def moved(nodes: SceneNodes, rotation: np.ndarray, shift: np.ndarray) -> SceneNo
     exact.
     """
     turn = rotation.T
+    surface = nodes.surface
     return dataclasses.replace(
         nodes,
         points=nodes.points.astype(np.float64) @ turn + shift,
         normals=nodes.normals.astype(np.float64) @ turn,
         gravity=nodes.gravity.astype(np.float64) @ turn,
+        surface=surface
+        and dataclasses.replace(
+            surface,
+            points=surface.points.astype(np.float64) @ turn + shift,
+            normals=surface.normals.astype(np.float64) @ turn,
+        ),
     )
 
 

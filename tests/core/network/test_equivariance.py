@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
 from e3nn.o3 import Irreps
-from network_scenes import motions, moved, scene, tokens
+from network_scenes import motions, moved, on_flat, scene, tokens
 from scipy.spatial.transform import Rotation
 
+from megrasp_core.errors import InvalidRequestError
 from megrasp_core.lie import wigner
-from megrasp_core.network import PRESETS, GraspModel, build_graph
-from megrasp_core.network.convolution import Block, ReducedConvolution, SelfProduct, harmonics
-from megrasp_core.network.irreps import EquivariantLinear, EquivariantNorm, Gate
+from megrasp_core.network import PRESETS, GraspModel, ModelConfig, build_graph
+from megrasp_core.network.convolution import (
+    Block,
+    Edges,
+    ReducedConvolution,
+    SelfProduct,
+    harmonics,
+)
+from megrasp_core.network.irreps import EquivariantLinear, EquivariantNorm, Gate, pack, unpack
 
 IRREPS = "8x0e+4x1o+3x2e"
 TOLERANCE = {torch.float32: 1e-4, torch.float64: 1e-10}
@@ -38,13 +47,13 @@ def shaken(module: torch.nn.Module, dtype: torch.dtype) -> torch.nn.Module:
 @pytest.mark.parametrize("layer", [EquivariantNorm, Gate, SelfProduct, EquivariantLinear])
 def test_pointwise_layers_are_equivariant(layer, dtype):
     module = shaken(layer(IRREPS, IRREPS) if layer is EquivariantLinear else layer(IRREPS), dtype)
-    irreps_in = Irreps(module.irreps_in if hasattr(module, "irreps_in") else IRREPS)
-    irreps_out = Irreps(module.irreps_out if hasattr(module, "irreps_out") else IRREPS)
+    irreps_in, irreps_out = Irreps(module.irreps_in), Irreps(module.irreps_out)
+    run = on_flat(module)
     x = torch.randn(20, irreps_in.dim, dtype=dtype, generator=torch.Generator().manual_seed(0))
     for turn, _ in motions(5):
         rotation = torch.as_tensor(turn, dtype=dtype)
-        turned_in = module(wigner.rotate(x, irreps_in, rotation))
-        turned_out = wigner.rotate(module(x), irreps_out, rotation)
+        turned_in = run(wigner.rotate(x, irreps_in, rotation))
+        turned_out = wigner.rotate(run(x), irreps_out, rotation)
         assert relative(turned_in, turned_out) < TOLERANCE[dtype]
 
 
@@ -59,10 +68,14 @@ def test_message_passing_is_equivariant(make, dtype):
     x = torch.randn(n, Irreps(IRREPS).dim, dtype=dtype)
     if make == "convolution":
         module = shaken(ReducedConvolution(IRREPS, 5, 8), dtype)
-        run = lambda x, v: module(x, index, basis, harmonics(v))  # noqa: E731
     else:
         module = shaken(Block(IRREPS, IRREPS, irreps_target=IRREPS, radial=5, hidden=8), dtype)
-        run = lambda x, v: module(x, x, index, basis, harmonics(v))  # noqa: E731
+
+    def run(x, v):
+        features, edges = unpack(x, IRREPS), Edges(index, basis, harmonics(v))
+        given = (features, edges) if make == "convolution" else (features, features, edges)
+        return pack(module(*given))
+
     for turn, _ in motions(4):
         rotation = torch.as_tensor(turn, dtype=dtype)
         turned_in = run(wigner.rotate(x, IRREPS, rotation), vectors @ rotation.T)
@@ -70,9 +83,13 @@ def test_message_passing_is_equivariant(make, dtype):
         assert relative(turned_in, turned_out) < TOLERANCE[dtype]
 
 
-def _model(dtype: torch.dtype) -> GraspModel:
+FINE = dataclasses.replace(PRESETS["tiny"], fine_neighbours=12)
+"""A network that gathers voxel points of the surface first."""
+
+
+def _model(dtype: torch.dtype, config: ModelConfig = PRESETS["tiny"]) -> GraspModel:
     torch.manual_seed(0)
-    return shaken(GraspModel(PRESETS["tiny"]), dtype).eval()
+    return shaken(GraspModel(config), dtype).eval()
 
 
 def _poses(count: int, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor]:
@@ -85,9 +102,10 @@ def _poses(count: int, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 @torch.no_grad()
-def test_scene_features_turn_with_the_scene(dtype):
-    model, nodes = _model(dtype), scene()
-    graph = build_graph(nodes.points, model.config)
+@pytest.mark.parametrize("config", [PRESETS["tiny"], FINE], ids=["nodes", "fine"])
+def test_scene_features_turn_with_the_scene(dtype, config):
+    model, nodes = _model(dtype, config), scene()
+    graph = build_graph(nodes, model.config)
     still = model.encode_scene(nodes, graph)
     for turn, shift in motions(3):
         rotation = torch.as_tensor(turn, dtype=dtype)
@@ -105,7 +123,7 @@ def test_prediction_is_invariant_in_the_tcp_frame(dtype, gravity):
     model, nodes = _model(dtype), scene()
     if gravity == "unknown":
         nodes.gravity[:] = 0.0
-    graph = build_graph(nodes.points, model.config)
+    graph = build_graph(nodes, model.config)
     code = model.encode_gripper(tokens(model.config.gripper_tokens))
     rotation, translation = _poses(12, dtype)
     s = torch.linspace(0.03, 1.0, 12, dtype=dtype)
@@ -132,7 +150,7 @@ def test_prediction_is_invariant_in_the_tcp_frame(dtype, gravity):
 @torch.no_grad()
 def test_prediction_sees_gravity_and_scene():
     model, nodes = _model(torch.float64), scene()
-    graph = build_graph(nodes.points, model.config)
+    graph = build_graph(nodes, model.config)
     code = model.encode_gripper(tokens(model.config.gripper_tokens))
     rotation, translation = _poses(6, torch.float64)
     s = torch.full((6,), 0.3, dtype=torch.float64)
@@ -150,10 +168,25 @@ def test_prediction_sees_gravity_and_scene():
 
 def test_rebuilt_graph_keeps_almost_all_edges():
     nodes = scene(800)
-    graph = build_graph(nodes.points, PRESETS["tiny"])
+    graph = build_graph(nodes, PRESETS["tiny"])
     shares = []
     for turn, shift in motions(5):
-        again = build_graph(moved(nodes, turn, shift).points, PRESETS["tiny"])
+        again = build_graph(moved(nodes, turn, shift), PRESETS["tiny"])
         shares.append(float((again.same[0].sort(-1).values != graph.same[0].sort(-1).values)
                             .double().mean()))  # fmt: skip
     assert max(shares) < 0.01
+
+
+@torch.no_grad()
+def test_a_fine_network_sees_what_lies_between_the_nodes():
+    model, nodes = _model(torch.float64, FINE), scene()
+    graph = build_graph(nodes, model.config)
+    assert graph.fine.shape == (len(nodes.points), 12)
+    still = model.encode_scene(nodes, graph).features[0]
+    surface = nodes.surface
+    assert surface is not None
+    bent = dataclasses.replace(surface, normals=np.roll(surface.normals, 1, axis=1))
+    other = model.encode_scene(dataclasses.replace(nodes, surface=bent), graph).features[0]
+    assert relative(other, still) > 1e-3
+    with pytest.raises(InvalidRequestError, match="without their surface"):
+        build_graph(dataclasses.replace(nodes, surface=None), model.config)

@@ -29,7 +29,8 @@ def test_round_trip_predicts_the_same(folder):
         model.predict(model.encode_scene(nodes), model.encode_gripper(gripper), *args).residual
         for model in (made, loaded)
     ]
-    assert torch.equal(*outs)
+    # Weights mapped from a file lie elsewhere in memory, where products may round otherwise.
+    assert torch.allclose(*outs, atol=1e-6)
 
 
 def test_found_through_the_environment(folder, monkeypatch):

@@ -4,87 +4,79 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from scipy.spatial.transform import Rotation
+from training_scenes import GRIPPER, record, written
 
-from megrasp_core.datasets import GripperLabels, SceneDataset, SceneRecord, SceneWriter
 from megrasp_core.errors import DataError, InvalidRequestError
 from megrasp_core.network import PRESETS, load_model
-from megrasp_core.training import SceneSource, TrainConfig, balance, record_nodes, train
+from megrasp_core.training import (
+    Counters,
+    TrainConfig,
+    TrainingJob,
+    TrainingRun,
+    rate_factor,
+    resume_training,
+    train,
+)
+from megrasp_core.training.processes import Team
 
-GRIPPER = "robotiq_2f85"
 CONFIG = TrainConfig(
-    preset="tiny",
+    network=PRESETS["tiny"],
     model_id="tiny-run",
     grippers=(GRIPPER,),
-    poses_per_gripper=32,
+    scenes_per_step=1,
+    poses_per_scene=32,
     confidence_poses=8,
+    confidence_every=1,
     warmup_steps=2,
     total_poses=32 * 6,
-    total_seconds=None,
-    validation_scenes=1,
+    node_sets=2,
+    validation_pairs=1,
 )
-
-
-def record(seed: int) -> SceneRecord:
-    """Points on a 10 cm cube face with grasps of two owners, one of them rare."""
-    rng = np.random.default_rng(seed)
-    points = rng.uniform(-0.05, 0.05, (400, 3))
-    points[:, 2] = 0.05
-    count = 30
-    poses = np.concatenate(
-        [
-            rng.uniform(-0.05, 0.05, (count, 3)),
-            Rotation.random(count, random_state=seed).as_quat(),
-        ],
-        1,
-    )
-    labels = GripperLabels(
-        poses.astype(np.float32),
-        (np.arange(count) < 2).astype(np.int16),
-        (np.arange(count) < 20).astype(np.int8),
-        np.zeros(count, np.int8),
-        np.full(count, "", np.str_),
-        np.zeros(count, np.int8),
-    )
-    return SceneRecord(
-        name=f"scene_{seed:010d}",
-        seed=seed,
-        object_names=("a", "b"),
-        object_poses=np.zeros((2, 7), np.float32),
-        obstacle=np.zeros(2, bool),
-        bin=None,
-        points=points.astype(np.float16),
-        normals=np.tile([0, 0, 127], (400, 1)).astype(np.int8),
-        on_plane=np.zeros(400, bool),
-        sensor=np.array([0, 0, 0.8], np.float32),
-        gravity=np.array([0, 0, -1], np.float32),
-        labels={GRIPPER: labels},
-    )
+# By the hash of their names "o3" is held out, the others are not.
+OBJECTS = ("o1", "o2", "o3")
 
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("data")
-    writer = SceneWriter(folder, {"config": "test"})
-    for seed in range(10):
-        writer.add(record(seed))
-    writer.close()
-    return folder
+    return written(
+        tmp_path_factory.mktemp("data"), (record(seed, objects=OBJECTS) for seed in range(10))
+    )
+
+
+def weights(folder: Path) -> dict[str, torch.Tensor]:
+    return load_model(folder / "model").state_dict()
+
+
+def distance(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -> float:
+    return float(sum((one[k] - other[k]).abs().sum() for k in one))
+
+
+def part_of(job: TrainingJob, config: TrainConfig, poses: int) -> None:
+    """Begin the whole plan, leave after so many poses."""
+    run = TrainingRun(job, config)
+    while run.counters.poses < poses:
+        run.step()
+    run.save()
 
 
 def test_run_resume_and_load(data, tmp_path):
-    seen = []
-    half = dataclasses.replace(CONFIG, total_poses=32 * 3)
-    train(data, tmp_path, half, on_progress=lambda counters, losses: seen.append(losses))
+    seen: list[dict[str, float]] = []
+    job = TrainingJob((data,), tmp_path)
+    part_of(job, CONFIG, 32 * 3)
+    first = load_model(tmp_path / "model")
+    resume_training(job, on_progress=lambda run, losses: seen.append(losses))
     assert len(seen) == 3
     assert {"diffusion", "score", "confidence", "graspability"} <= set(seen[0])
-    first = load_model(tmp_path / "model")
-    train(data, tmp_path, CONFIG, resume=True)
     second = load_model(tmp_path / "model")
     counters = second.info["counters"]
     assert counters["poses"] == 32 * 6
@@ -95,54 +87,153 @@ def test_run_resume_and_load(data, tmp_path):
     assert list(second.info["trained_grippers"]) == [GRIPPER]
     lines = [json.loads(line) for line in (tmp_path / "losses.jsonl").read_text().splitlines()]
     assert [line["steps"] for line in lines] == [3, 6]
-    assert all(np.isfinite(line["validation_diffusion"]) for line in lines)
+    for line in lines:
+        assert np.isfinite(line["validation_diffusion"])
+        assert list(line["per_gripper"]) == [GRIPPER]
+        assert set(line["per_band"]) == {"low", "middle", "high"}
     assert (tmp_path / "losses.png").stat().st_size > 1000
 
 
 def test_resume_goes_on_as_if_never_stopped(data, tmp_path):
-    """Up to the rounding of the stored optimiser moments."""
-    train(
-        data, tmp_path / "whole", dataclasses.replace(CONFIG, total_poses=32 * 4, decay_share=1e-6)
-    )
-    part = dataclasses.replace(CONFIG, total_poses=32 * 2, decay_share=1e-6)
-    train(data, tmp_path / "half", part)
+    """Up to the rounding of what the checkpoint keeps of the optimiser."""
+    config = dataclasses.replace(CONFIG, total_poses=32 * 24)
+    whole = TrainingJob((data,), tmp_path / "whole")
+    train(whole, config)
+    part_of(TrainingJob((data,), tmp_path / "half"), config, 32 * 12)
     shutil.copytree(tmp_path / "half", tmp_path / "split")
-    train(data, tmp_path / "split", dataclasses.replace(part, total_poses=32 * 4), resume=True)
-    whole, split = (
-        load_model(tmp_path / name / "model").state_dict() for name in ("whole", "split")
+    resume_training(TrainingJob((data,), tmp_path / "split"))
+    ends, split, half = (weights(tmp_path / name) for name in ("whole", "split", "half"))
+    assert distance(ends, split) < 0.1 * distance(ends, half)
+    losses = [
+        json.loads((tmp_path / name / "losses.jsonl").read_text().splitlines()[-1])
+        for name in ("whole", "split")
+    ]
+    assert losses[1]["validation_diffusion"] == pytest.approx(
+        losses[0]["validation_diffusion"], rel=0.02
     )
-    half_way = load_model(tmp_path / "half" / "model").state_dict()
+    assert losses[0]["poses"] == losses[1]["poses"]
 
-    def distance(other: dict[str, torch.Tensor]) -> float:
-        return float(sum((whole[k] - other[k]).abs().sum() for k in whole))
 
-    assert distance(split) < 0.02 * distance(half_way)
+def test_everything_but_the_place_comes_from_the_checkpoint(data, tmp_path):
+    """A run for two grippers with its own settings goes on as it was, whatever is default."""
+    config = dataclasses.replace(
+        CONFIG,
+        grippers=(GRIPPER, "franka_hand"),
+        network=dataclasses.replace(PRESETS["tiny"], s_min=0.02, gripper_tokens=6),
+        model_id="mine",
+        learning_rate=2e-3,
+    )
+    job = TrainingJob((data,), tmp_path)
+    part_of(job, config, 32)
+    model = resume_training(job, total_poses=32 * 3)
+    info = load_model(tmp_path / "model").info
+    assert model.config == config.network
+    assert info["model_id"] == "mine"
+    assert list(info["trained_grippers"]) == [GRIPPER, "franka_hand"]
+    assert info["training"]["learning_rate"] == 2e-3
+    assert info["counters"]["poses"] == info["training"]["total_poses"] == 32 * 3
+
+
+def test_a_checkpoint_is_seven_bytes_a_parameter(data, tmp_path):
+    part_of(TrainingJob((data,), tmp_path), CONFIG, 32)
+    parameters = sum(value.numel() for value in weights(tmp_path).values())
+    size = (tmp_path / "checkpoint.safetensors").stat().st_size
+    names = size - 7 * parameters
+    assert 0 < names < 300_000, "what is not of the parameters is their names and the config"
+
+
+def test_the_rate_follows_what_was_seen():
+    config = dataclasses.replace(CONFIG, total_poses=1000, warmup_steps=10, constant_share=0.4)
+    late = {"steps": 50}
+    factors = [
+        rate_factor(Counters(steps=4), config),
+        rate_factor(Counters(poses=300, **late), config),
+        rate_factor(Counters(poses=700, **late), config),
+        rate_factor(Counters(poses=1000, **late), config),
+    ]
+    assert factors == pytest.approx([0.5, 1.0, 0.5, 0.0])
+    busy = Counters(poses=300, seconds=1e6, **late)
+    assert rate_factor(busy, config) == factors[1], "a busy machine trains the same model"
+
+
+def test_a_stretch_ends_in_time_and_goes_on(data, tmp_path):
+    config = dataclasses.replace(CONFIG, total_poses=10**9)
+    job = TrainingJob((data,), tmp_path, seconds=0.5)
+    train(job, config)
+    before = load_model(tmp_path / "model").info["counters"]
+    resume_training(job)
+    after = load_model(tmp_path / "model").info["counters"]
+    assert 0 < before["poses"] < after["poses"] < 10**8
+    assert (before["stretches"], after["stretches"]) == (1, 2)
+
+
+def test_sigterm_saves_and_exits_0(data, tmp_path):
+    program = "from megrasp_core.cli import main; raise SystemExit(main())"
+    command = [
+        sys.executable, "-c", program, "train", "--data", str(data), "--out", str(tmp_path),
+        "--preset", "tiny", "--gripper", GRIPPER, "--total-poses", "1000000000",
+    ]  # fmt: skip
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        assert "10 scenes" in process.stdout.readline(), "it says when it has begun"
+        os.kill(process.pid, signal.SIGTERM)
+        output, _ = process.communicate(timeout=120.0)
+    finally:
+        process.kill()
+    assert process.returncode == 0, output
+    assert "--resume goes on from there" in output
+    assert load_model(tmp_path / "model").info["counters"]["steps"] >= 1
+    assert (tmp_path / "checkpoint.safetensors").exists()
+
+
+def test_two_processes_train_what_one_does(data, tmp_path):
+    """The same scenes a step, shared by two: sums of gradients differ by rounding alone."""
+    config = dataclasses.replace(
+        CONFIG, scenes_per_step=2, total_poses=64 * 4, confidence_every=2, warmup_steps=1
+    )
+    for processes in (1, 2):
+        job = TrainingJob((data,), tmp_path / str(processes), processes=processes)
+        train(job, config)
+    one, two = (weights(tmp_path / name) for name in ("1", "2"))
+    torch.manual_seed(config.seed)
+    start = TrainingRun(TrainingJob((data,), tmp_path / "0"), config).model.state_dict()
+    assert distance(one, two) < 0.01 * distance(one, start)
+    counters = [load_model(tmp_path / name / "model").info["counters"] for name in ("1", "2")]
+    for name in ("steps", "poses", "labelled_poses", "scenes"):
+        assert counters[0][name] == counters[1][name]
+
+
+def test_a_step_is_shared_out_whole():
+    slots = [list(Team(rank, 3).slots(7)) for rank in range(3)]
+    assert sorted(slot for part in slots for slot in part) == list(range(7))
 
 
 def test_training_learns_a_fixed_grasp(tmp_path):
     """One top-down grasp in every scene: well below the loss of predicting zero (about 1)."""
-    writer = SceneWriter(tmp_path / "data", {"config": "one grasp"})
-    for seed in range(4):
-        scene = record(seed)
-        labels = scene.labels[GRIPPER]
-        labels.world_from_tcp[:] = [0.0, 0.0, 0.05, 1.0, 0.0, 0.0, 0.0]
-        writer.add(scene)
+    scenes = [record(seed) for seed in range(4)]
+    for scene in scenes:
+        scene.labels[GRIPPER].world_from_tcp[:] = [0.0, 0.0, 0.05, 1.0, 0.0, 0.0, 0.0]
+    written(tmp_path / "data", scenes)
     losses = []
     config = dataclasses.replace(CONFIG, total_poses=32 * 100, learning_rate=3e-3)
     train(
-        tmp_path / "data", tmp_path / "run", config,
-        on_progress=lambda counters, values: losses.append(values["diffusion"]),
-    )  # fmt: skip
+        TrainingJob((tmp_path / "data",), tmp_path / "run"),
+        config,
+        on_progress=lambda run, values: losses.append(values["diffusion"]),
+    )
     assert np.mean(losses[:5]) > 0.9
-    assert np.mean(losses[-10:]) < 0.8
+    assert np.mean(losses[-30:]) < 0.8
 
 
 def test_heads_only_leaves_the_diffusion(data, tmp_path):
-    base = train(data, tmp_path / "base", dataclasses.replace(CONFIG, total_poses=32))
-    config = dataclasses.replace(
-        CONFIG, train_only="heads", total_poses=None, total_seconds=0.5, confidence_weight=1.0
+    base = train(
+        TrainingJob((data,), tmp_path / "base"), dataclasses.replace(CONFIG, total_poses=32)
     )
-    after = train(data, tmp_path / "heads", config, start_from=base)
+    config = dataclasses.replace(
+        CONFIG, train_only="heads", total_poses=40, confidence_weight=1.0, graspability_weight=0.0
+    )
+    after = train(TrainingJob((data,), tmp_path / "heads"), config, start_from=base)
     before = base.state_dict()
     for name, value in after.state_dict().items():
         same = torch.equal(value, before[name])
@@ -150,36 +241,40 @@ def test_heads_only_leaves_the_diffusion(data, tmp_path):
             assert not same, f"{name} must have been trained"
         if not name.startswith(("confidence", "graspability")):
             assert same, f"{name} must not change"
+    info = load_model(tmp_path / "heads" / "model").info
+    assert info["counters"]["poses"] == 0 and info["counters"]["labelled_poses"] >= 40
+    assert info["started_from"]["model_id"] == "tiny-run"
 
 
-def test_balanced_batches_give_rare_objects_their_share():
-    owner = np.array([0] * 90 + [1] * 10)
-    weights = balance(owner)
-    assert np.isclose(weights[owner == 1].sum(), 0.5)
-    assert np.isclose(weights.sum(), 1.0)
-
-
-def test_batch_is_centred_like_its_nodes(data):
-    dataset = SceneDataset(data)
-    source = SceneSource(dataset, CONFIG, PRESETS["tiny"], [0])
-    batch = source.batch(source.record(0), np.random.default_rng(0), augment=False)
-    stored = dataset[0].labels[GRIPPER].world_from_tcp[:, :3]
-    drawn = batch.positives[GRIPPER].translation.numpy() + batch.nodes.centroid
-    distance = np.linalg.norm(drawn[:, None] - stored[None], axis=-1).min(1)
-    assert distance.max() < 1e-6
-
-
-def test_record_nodes_can_forget_gravity():
-    assert not record_nodes(record(0), drop_gravity=True).gravity.any()
-    assert record_nodes(record(0)).gravity[2] == -1
+def test_growing_data_comes_in_at_a_checkpoint(data, tmp_path):
+    folder = tmp_path / "data"
+    shutil.copytree(data, folder)
+    run = TrainingRun(TrainingJob((folder,), tmp_path / "run"), CONFIG)
+    run.read()
+    pairs, entries = run.pairs, list(run.source.entries)
+    written(folder, [record(seed, objects=OBJECTS) for seed in range(20, 23)])
+    run.read()
+    assert len(run.source.entries) == len(entries) + 3
+    assert run.pairs == pairs, "what validates stays"
+    names = {entry.name: entry for entry in run.source.entries}
+    before = entries[0]
+    assert names[before.name].tables[GRIPPER].rotation is before.tables[GRIPPER].rotation or len(
+        names[before.name].tables[GRIPPER]
+    ) == len(before.tables[GRIPPER])
 
 
 def test_errors_say_what_to_do(data, tmp_path):
-    with pytest.raises(InvalidRequestError, match=r"'huge' is unknown.*base.*small.*tiny"):
-        TrainConfig(preset="huge")
+    with pytest.raises(InvalidRequestError, match=r"total_poses 0 was given; expected"):
+        TrainConfig(total_poses=0)
+    with pytest.raises(InvalidRequestError, match="several only on cpu"):
+        TrainingJob((data,), tmp_path, device="cuda", processes=2)
     with pytest.raises(DataError, match="cannot be resumed"):
-        train(data, tmp_path, CONFIG, resume=True)
-    empty = tmp_path / "empty"
-    SceneWriter(empty, {"config": "test"}).close()
+        resume_training(TrainingJob((data,), tmp_path))
+    with pytest.raises(DataError, match="written by another version"):
+        TrainConfig.from_dict({**CONFIG.to_dict(), "minutes": 3})
+    empty = written(tmp_path / "empty", [])
     with pytest.raises(DataError, match="expected at least 2"):
-        train(empty, tmp_path / "out", CONFIG)
+        train(TrainingJob((empty,), tmp_path / "out"), CONFIG)
+    with pytest.raises(DataError, match="no grasp of the grippers franka_hand"):
+        config = dataclasses.replace(CONFIG, grippers=("franka_hand",))
+        train(TrainingJob((data,), tmp_path / "out"), config)

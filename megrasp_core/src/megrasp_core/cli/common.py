@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from types import UnionType
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Literal,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import tyro
 
@@ -17,7 +29,16 @@ if TYPE_CHECKING:
 
     from ..pointcloud import OrientedBox
 
-__all__ = ["Flag", "Names", "block_writer", "emit", "progress_bar", "read_region", "say"]
+__all__ = [
+    "Flag",
+    "Names",
+    "block_writer",
+    "changed",
+    "emit",
+    "progress_bar",
+    "read_region",
+    "say",
+]
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 """A switch without a --no- twin."""
@@ -107,3 +128,68 @@ def read_region(path: Path) -> tuple[OrientedBox, bool]:
             f"{expected}."
         )
     return OrientedBox(matrix_from_pose7(pose), size), bool(content.get("walls", True))  # type: ignore[arg-type]
+
+
+Settings = TypeVar("Settings")
+
+
+def changed(settings: Settings, changes: Sequence[str], option: str) -> Settings:
+    """A dataclass with fields set from `NAME=VALUE` texts; `outer.inner=VALUE` sets a field of a
+    field. Lists are written as `[1, 2]`.
+
+    Raises:
+        InvalidRequestError: no such field, or a value of another type.
+    """
+    import yaml
+
+    for change in changes:
+        name, equals, text = change.partition("=")
+        if not equals:
+            raise InvalidRequestError(f"{option} {change} was given; expected NAME=VALUE.")
+        try:
+            value = yaml.safe_load(text)
+        except yaml.YAMLError:
+            value = text
+        settings = _with(settings, name.split("."), value, f"{option} {change}")
+    return settings
+
+
+def _with(settings: Any, path: list[str], value: Any, given: str) -> Any:
+    names = [field.name for field in dataclasses.fields(settings)]
+    if path[0] not in names:
+        raise InvalidRequestError(
+            f"{given} names no field of {type(settings).__name__}; expected one of "
+            f"{', '.join(names)}."
+        )
+    before = getattr(settings, path[0])
+    if len(path) > 1:
+        if not dataclasses.is_dataclass(before):
+            raise InvalidRequestError(f"{given}: {path[0]} has no fields; expected its value.")
+        value = _with(before, path[1:], value, given)
+    elif isinstance(value, list):
+        value = tuple(value)
+    wanted = get_type_hints(type(settings))[path[0]]
+    if not _fits(value, wanted):
+        raise InvalidRequestError(f"{given}: expected a value like {before!r}.")
+    is_float = wanted is float or float in get_args(wanted)
+    plain = isinstance(value, int) and not isinstance(value, bool)
+    return dataclasses.replace(
+        settings, **{path[0]: float(value) if is_float and plain else value}
+    )
+
+
+def _fits(value: Any, wanted: Any) -> bool:
+    """Whether a value read from text is of a field's type."""
+    origin = get_origin(wanted)
+    if origin is Literal:
+        return value in get_args(wanted)
+    if origin in (Union, UnionType):
+        return any(_fits(value, part) for part in get_args(wanted))
+    if origin is tuple:
+        parts = get_args(wanted)
+        return isinstance(value, tuple) and all(_fits(v, parts[0]) for v in value)
+    if wanted is float:
+        return isinstance(value, (int, float)) and not isinstance(value, bool)
+    if wanted is int:
+        return isinstance(value, int) and not isinstance(value, bool)
+    return isinstance(value, wanted) if isinstance(wanted, type) else value is None

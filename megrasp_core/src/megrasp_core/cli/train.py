@@ -3,110 +3,171 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
 
 from ..errors import InvalidRequestError
-from .common import Flag, progress_bar, say
+from .common import Flag, changed, progress_bar, say
 
 if TYPE_CHECKING:
-    from ..training import Counters
+    from tqdm import tqdm
+
+    from ..network import GraspModel
+    from ..training import TrainConfig, TrainingRun
 
 __all__ = ["train"]
+
+Settings = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE [NAME=VALUE ...]")]
 
 
 def train(
     data: tuple[Path, ...],
     out: Path,
     resume: Flag = False,
+    validation: tuple[Path, ...] = (),
     device: str = "cpu",
-    threads: int | None = None,
+    processes: int = 1,
+    minutes: float | None = None,
+    total_poses: int | None = None,
     preset: Literal["tiny", "small", "base"] = "small",
+    network: Settings = (),
+    settings: Annotated[Settings, tyro.conf.arg(name="set")] = (),
     model_id: str | None = None,
-    gripper: tuple[str, ...] = ("robotiq_2f85", "franka_hand", "robotiq_3f"),
-    minutes: float | None = 60.0,
-    poses: int | None = None,
-    learning_rate: float = 1e-3,
-    scenes_per_step: int = 1,
-    poses_per_gripper: int = 128,
+    gripper: tuple[str, ...] = (),
     heads_of: str | None = None,
     seed: int = 1,
 ) -> int:
     """Train a model, or go on training it.
 
+    SIGTERM, Ctrl-C or the end of --minutes saves a checkpoint and leaves with exit code 0; with
+    --resume the run goes on, here or on another machine, with everything that it was begun with.
+
     Try:
-      megrasp train --data data/scenes --out runs/small --minutes 120
-      megrasp train --data data/scenes --out runs/small --resume --minutes 240
+      megrasp train --data data/scenes --out runs/small --total-poses 3_000_000
+      megrasp train --data data/scenes --out runs/small --resume --minutes 170
+      megrasp train --data data/scenes --out runs/fine --network fine_neighbours=24 s_min=0.015
       megrasp train --data scenes.mgpack --out runs/small --device cuda
 
     Args:
         data: folders of `data scenes`, or device packs of `data pack`; a folder that still grows
             is read again.
         out: checkpoint, loss curves and the averaged model.
-        resume: go on from the checkpoint in `out`; everything but the end of the run and the
-            device is taken from it.
+        resume: go on from the checkpoint in `out`; of the other options only data, validation,
+            device, processes, minutes and total poses count.
+        validation: scenes of objects that training never sees; without them a tenth of the
+            objects is held out.
         device: cpu or cuda.
-        threads: torch threads.
+        processes: that share the work, one thread each.
+        minutes: end of this stretch; without, the plan is trained to its end.
+        total_poses: noisy poses of the whole plan, which the learning rate follows; by default
+            three million, with --resume as before.
         preset: size of the network.
+        network: changes to the preset, by the names of `ModelConfig`.
+        settings: further settings, by the names of `TrainConfig`.
         model_id: by default megrasp- and the preset.
-        gripper: names of the grippers to learn.
-        minutes: end after so much training time, resumed runs included.
-        poses: or after so many noisy poses.
-        learning_rate: after the warm-up.
-        scenes_per_step: scenes per step.
-        poses_per_gripper: noisy poses per gripper, scene and step.
+        gripper: names of the grippers to learn; by default all that are meant for training.
+            Procedural grippers in the data are always learnt.
         heads_of: id or folder of a model of which only the confidence is trained.
-        seed: of weights, batches and noise.
+        seed: of weights, scenes and noise.
     """
-    if threads is not None and threads < 1:
-        raise InvalidRequestError(f"--threads {threads} was given; expected at least 1.")
     import torch
 
     from ..network import load_model
+    from ..training import TrainingJob, resume_training
+    from ..training import train as begin_training
+    from ..training.checkpoint import TENSORS as CHECKPOINT
+
+    job = TrainingJob(
+        data=tuple(data),
+        out=out,
+        validation=tuple(validation),
+        device=device,
+        processes=processes,
+        seconds=None if minutes is None else 60.0 * minutes,
+    )
+    # More threads than one wait for each other on a busy machine; processes do not.
+    torch.set_num_threads(1)
+    with progress_bar(1000, "train") as bar:
+        if resume:
+            resume_training(job, total_poses=total_poses, on_progress=_Display(bar))
+        else:
+            if (out / CHECKPOINT).exists():
+                raise InvalidRequestError(
+                    f"{out} holds a run already; expected --resume to go on with it, or another "
+                    "--out."
+                )
+            start = None if heads_of is None else load_model(heads_of)
+            config = _config(
+                preset, start, network, settings, model_id, gripper, total_poses, seed
+            )
+            begin_training(job, config, start_from=start, on_progress=_Display(bar))
+    say(f"wrote checkpoint and model to {out}; --resume goes on from there")
+    return 0
+
+
+class _Display:
+    """Progress as a bar, or as a line a minute where there is no terminal."""
+
+    def __init__(self, bar: tqdm) -> None:
+        self._bar = bar
+        self._last = time.monotonic()
+        self._begun = False
+
+    def __call__(self, run: TrainingRun, losses: dict[str, float]) -> None:
+        counters = run.counters
+        if not self._begun:
+            self._begun = True
+            weights = sum(p.numel() for p in run.model.parameters())
+            say(
+                f"{run.scenes} scenes, {len(run.source.grippers)} grippers, "
+                f"{len(run.pairs)} pairs of scene and gripper for validation, "
+                f"{weights / 1e6:.2f} million parameters"
+            )
+        self._bar.n = int(1000 * counters.progress(run.config))
+        self._bar.set_postfix({k: f"{v:.3f}" for k, v in losses.items()}, refresh=False)
+        self._bar.refresh()
+        if self._bar.disable and time.monotonic() - self._last > 60:
+            self._last = time.monotonic()
+            values = ", ".join(f"{k} {v:.3f}" for k, v in sorted(run.averages.items()))
+            say(
+                f"step {counters.steps}, {counters.poses} of {run.config.total_poses} poses, "
+                f"{counters.cpu_seconds:.0f} CPU-s: {values}"
+            )
+
+
+def _config(
+    preset: str,
+    heads_of: GraspModel | None,
+    network: tuple[str, ...],
+    settings: tuple[str, ...],
+    model_id: str | None,
+    gripper: tuple[str, ...],
+    total_poses: int | None,
+    seed: int,
+) -> TrainConfig:
+    from ..network import PRESETS
     from ..training import TrainConfig
-    from ..training import train as run_training
 
     config = TrainConfig(
-        preset=preset,
+        network=changed(PRESETS[preset], network, "--network"),
         model_id=model_id or f"megrasp-{preset}",
-        grippers=tuple(gripper),
-        total_seconds=None if minutes is None else 60.0 * minutes,
-        total_poses=poses,
-        learning_rate=learning_rate,
-        scenes_per_step=scenes_per_step,
-        poses_per_gripper=poses_per_gripper,
-        train_only="all" if heads_of is None else "heads",
-        # The samples of a model say nothing of where all grasps are.
-        graspability_weight=0.1 if heads_of is None else 0.0,
-        confidence_weight=0.1 if heads_of is None else 1.0,
         seed=seed,
     )
-    if threads is not None:
-        torch.set_num_threads(threads)
-    last = time.monotonic()
-    with progress_bar(1000, "train") as bar:
-
-        def tell(counters: Counters, losses: dict[str, float]) -> None:
-            nonlocal last
-            bar.n = int(1000 * counters.progress(config))
-            bar.set_postfix({key: f"{value:.3f}" for key, value in losses.items()}, refresh=False)
-            bar.refresh()
-            if bar.disable and time.monotonic() - last > 60:
-                last = time.monotonic()
-                values = ", ".join(f"{key} {value:.3f}" for key, value in losses.items())
-                say(
-                    f"step {counters.steps}, {counters.poses} poses, {counters.seconds:.0f} s: "
-                    f"{values}"
-                )
-
-        run_training(
-            list(data),
-            out,
+    if heads_of is not None:
+        # The samples of a model say nothing of where all grasps are.
+        config = replace(
             config,
-            resume=resume,
-            start_from=None if heads_of is None else load_model(heads_of),
-            device=device,
-            on_progress=tell,
+            network=heads_of.config,
+            model_id=model_id or heads_of.model_id,
+            train_only="heads",
+            graspability_weight=0.0,
+            confidence_weight=1.0,
         )
-    say(f"wrote the model to {out}")
-    return 0
+    if gripper:
+        config = replace(config, grippers=tuple(gripper))
+    if total_poses is not None:
+        config = replace(config, total_poses=total_poses)
+    return changed(config, settings, "--set")

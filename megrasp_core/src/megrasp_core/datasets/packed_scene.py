@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,9 +58,26 @@ class PackedScene:
         """(K, 3) in the world frame (m)."""
         return self.origin + self.step * self.lattice.astype(np.float64)
 
-    def nodes(self, settings: SceneSettings, seed: int = 0) -> SceneNodes:
-        """Nodes for the network: seed 0 gives those of inference, another one as many in the
-        same shares, drawn from all K points.
+    def without_labels(self) -> PackedScene:
+        """The scene with its surface alone."""
+        return replace(self, labels={})
+
+    def surface_cloud(self) -> SurfaceCloud:
+        """The part of the surface that the pack keeps."""
+        points = self.points
+        return SurfaceCloud(
+            points=points,
+            normals=octahedral_normals(self.octahedral),
+            on_plane=self.on_plane,
+            sensor=np.zeros(3),
+            gravity=self.gravity.astype(np.float64),
+            crop=points,
+            region=None,
+        )
+
+    def chosen(self, settings: SceneSettings, seed: int = 0) -> NDArray[np.intp]:
+        """Which of the K points are nodes: seed 0 gives those of inference, another one as many
+        in the same shares, drawn from all.
 
         Raises:
             DataError: `settings` choose nodes otherwise than those of the pack.
@@ -70,21 +87,15 @@ class PackedScene:
                 f"{self.name} was packed for nodes chosen by {self.choice}; expected "
                 f"{node_choice(settings)}. Pack the data set again."
             )
-        points = self.points
-        surface = SurfaceCloud(
-            points=points,
-            normals=octahedral_normals(self.octahedral),
-            on_plane=self.on_plane,
-            sensor=np.zeros(3),
-            gravity=self.gravity.astype(np.float64),
-            crop=points,
-            region=None,
-        )
         if not seed:
-            return nodes_at(surface, np.arange(self.inference))
+            return np.arange(self.inference)
         of_plane = int(np.count_nonzero(self.on_plane[: self.inference]))
         counts = (self.inference - of_plane, of_plane)
-        return nodes_at(surface, choose_nodes(points, self.on_plane, counts, seed))
+        return choose_nodes(self.points, self.on_plane, counts, seed)
+
+    def nodes(self, settings: SceneSettings, seed: int = 0) -> SceneNodes:
+        """Nodes for the network, see `chosen`."""
+        return nodes_at(self.surface_cloud(), self.chosen(settings, seed))
 
 
 def pack_octahedral(normals: NDArray[np.float64]) -> NDArray[np.int8]:

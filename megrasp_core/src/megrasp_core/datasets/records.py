@@ -6,14 +6,21 @@ metres; the TCP frame has +Z as approach and +X as closing axis (DESIGN section 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from enum import IntEnum
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from megrasp_core.pointcloud import SceneNodes, SceneSettings, SurfaceCloud, scene_nodes
+from megrasp_core.pointcloud import (
+    SceneNodes,
+    SceneSettings,
+    SurfaceCloud,
+    choose_nodes,
+    node_counts,
+    nodes_at,
+)
 from megrasp_core.simulation import Bin
 
 
@@ -163,10 +170,14 @@ class SceneRecord:
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
         return self.points.astype(np.float64), normals
 
-    def nodes(self, settings: SceneSettings, seed: int = 0) -> SceneNodes:
-        """Nodes for the network: seed 0 gives those of inference, another one a random choice."""
+    def without_labels(self) -> SceneRecord:
+        """The scene with its surface alone."""
+        return replace(self, labels={})
+
+    def surface_cloud(self) -> SurfaceCloud:
+        """The surface as preprocessing left it."""
         points, normals = self.surface()
-        surface = SurfaceCloud(
+        return SurfaceCloud(
             points=points,
             normals=normals,
             on_plane=self.on_plane,
@@ -175,7 +186,17 @@ class SceneRecord:
             crop=points,
             region=None,
         )
-        return scene_nodes(surface, settings, seed)
+
+    def chosen(self, settings: SceneSettings, seed: int = 0) -> NDArray[np.intp]:
+        """Which points of the surface are nodes: seed 0 chooses as at inference, another one at
+        random.
+        """
+        counts = node_counts(self.on_plane, settings)
+        return choose_nodes(self.points.astype(np.float64), self.on_plane, counts, seed)
+
+    def nodes(self, settings: SceneSettings, seed: int = 0) -> SceneNodes:
+        """Nodes for the network: seed 0 gives those of inference, another one a random choice."""
+        return nodes_at(self.surface_cloud(), self.chosen(settings, seed))
 
 
 def bin_fields(bin: Bin | None) -> dict[str, Any] | None:

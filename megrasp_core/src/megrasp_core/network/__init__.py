@@ -4,6 +4,7 @@ from .config import PRESETS, ModelConfig
 from .graph import SceneGraph, build_graph
 from .gripper_encoder import GripperCode
 from .model import GraspModel, Prediction
+from .precision import low_precision_pays
 from .scene_encoder import SceneField
 from .storage import find_model, list_models, load_model, model_folders, save_model
 
@@ -19,6 +20,7 @@ __all__ = [
     "find_model",
     "list_models",
     "load_model",
+    "low_precision_pays",
     "model_folders",
     "save_model",
 ]

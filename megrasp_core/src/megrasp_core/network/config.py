@@ -30,6 +30,11 @@ class ModelConfig:
     up_neighbours: int = 4
     radii: tuple[float, ...] = (0.04, 0.08, 0.16)
     """Range (m) of the radial basis per level."""
+    fine_neighbours: int = 0
+    """Voxel points that a node of the finest level gathers in the first block instead of
+    neighbouring nodes; 0: neighbouring nodes. Nodes lie a centimetre apart, voxel points 4 mm."""
+    fine_radius: float = 0.016
+    """Range (m) of the radial basis among the voxel points."""
     radial_functions: int = 12
     radial_hidden: int = 32
     width: int = 128

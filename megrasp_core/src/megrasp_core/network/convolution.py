@@ -9,6 +9,8 @@ natural-parity paths is taken once per node instead, where there are 16 times fe
 
 from __future__ import annotations
 
+import dataclasses
+
 import torch
 from e3nn.o3 import Irreps, spherical_harmonics, wigner_3j
 from torch import Tensor, nn
@@ -17,11 +19,13 @@ from .irreps import (
     EquivariantLinear,
     EquivariantNorm,
     Gate,
+    Steerable,
     as_irreps,
     multiplicities,
-    pack,
-    unpack,
+    scalars_of,
+    sum_of,
 )
+from .kernels import fused_messages
 
 SELF_PATHS = (
     (0, 0, 0), (1, 1, 0), (2, 2, 0),
@@ -47,6 +51,21 @@ def harmonics(vectors: Tensor) -> dict[int, Tensor]:
     }
 
 
+@dataclasses.dataclass(frozen=True)
+class Edges:
+    """The k neighbours of M targets among the sources.
+
+    Attributes:
+        index: `(M, k)` rows of the sources.
+        basis: `(M, k, radial)` radial basis of the edges' lengths.
+        harmonics: `{l: (M, k, 2l+1)}` for l = 1, 2, of the vectors from target to source.
+    """
+
+    index: Tensor
+    basis: Tensor
+    harmonics: dict[int, Tensor]
+
+
 class RadialBasis(nn.Module):
     """Gaussians over [0, radius] of the edge length, times a smooth cut-off."""
 
@@ -69,20 +88,35 @@ class ReducedConvolution(nn.Module):
     """Messages from the neighbours of each node over the reduced paths.
 
     Args:
-        irreps: features of the sources; the messages have irreps `irreps_out`.
+        irreps: features of the sources; degree 2 may be missing. The messages have irreps
+            `irreps_out`.
+        lift: channels of degrees 1 and 2 that are made from scalars; by default as many as
+            `irreps` has.
         radial: number of radial basis functions.
         hidden: width of the radial network.
     """
 
-    def __init__(self, irreps: Irreps | str, radial: int, hidden: int) -> None:
+    def __init__(
+        self,
+        irreps: Irreps | str,
+        radial: int,
+        hidden: int,
+        lift: tuple[int, int] | None = None,
+    ) -> None:
         super().__init__()
         self.irreps_in = as_irreps(irreps)
-        self._mul = multiplicities(self.irreps_in)
-        c0, c1, c2 = (self._mul[degree] for degree in (0, 1, 2))
-        if c0 < max(c1, c2):
-            raise ValueError(f"irreps {irreps}: needs at least as many scalars as vectors")
-        self._split = (c0, c1, c2, c1, c2, c1, c2)
-        self.irreps_out = as_irreps(f"{c0 + c1 + c2}x0e+{2 * c1}x1o+{2 * c2}x2e")
+        mul = multiplicities(self.irreps_in)
+        c0, c1, c2 = (mul.get(degree, 0) for degree in (0, 1, 2))
+        l1, l2 = (c1, c2) if lift is None else lift
+        if c0 < max(l1, l2):
+            raise ValueError(f"irreps {irreps}: needs at least as many scalars as lifted vectors")
+        self._lift = {1: l1, 2: l2}
+        self._sizes = (c0, c1, c2, l1, l2)
+        self.compiled = False
+        """Use compiled kernels where they can be used."""
+        self._split = (c0, c1, c2, l1, l2, c1, c2)
+        """Channels that keep their degree (0, 1, 2), are lifted (1, 2), are dropped (1, 2)."""
+        self.irreps_out = as_irreps(f"{c0 + c1 + c2}x0e+{c1 + l1}x1o+{c2 + l2}x2e")
         self.radial = nn.Sequential(
             nn.Linear(radial, hidden), nn.SiLU(), nn.Linear(hidden, sum(self._split))
         )
@@ -90,39 +124,50 @@ class ReducedConvolution(nn.Module):
     def __repr__(self) -> str:
         return f"ReducedConvolution({self.irreps_in} -> {self.irreps_out})"
 
-    def forward(
-        self, sources: Tensor, index: Tensor, basis: Tensor, sh: dict[int, Tensor]
-    ) -> Tensor:
+    def forward(self, sources: Steerable, edges: Edges) -> Steerable:
         """Sum the messages over the neighbours.
 
         Args:
-            sources: `(N, dim)`.
-            index: `(M, k)` neighbours of each target among the sources.
-            basis: `(M, k, radial)`.
-            sh: harmonics of the edges, `{l: (M, k, 2l+1)}`.
+            sources: features of N sources.
+            edges: M targets with k neighbours each.
 
         Returns:
-            `(M, irreps_out.dim)`.
+            Features of the M targets, of `irreps_out`.
         """
-        k = index.shape[1]
-        features = unpack(sources[index], self.irreps_in)
-        w0, w11, w22, w01, w02, w10, w20 = self.radial(basis).split(self._split, dim=-1)
-        scalars = features[0].squeeze(-1)
+        k = edges.index.shape[1]
+        weights = self.radial(edges.basis)
+        if self.compiled and weights.dtype == torch.float32 and weights.device.type == "cpu":
+            out0, out1, out2 = fused_messages(
+                scalars_of(sources),
+                sources.get(1),
+                sources.get(2),
+                edges.index,
+                weights,
+                edges.harmonics[1],
+                edges.harmonics[2],
+                self._sizes,
+            )
+            return {0: out0.unsqueeze(-2) / k**0.5, 1: out1 / k**0.5, 2: out2 / k**0.5}
+        w0, w11, w22, w01, w02, w10, w20 = weights.split(self._split, dim=-1)
+        scalars = gathered(scalars_of(sources), edges.index)
         out0 = [(scalars * w0).sum(1)]
-        out: dict[int, list[Tensor]] = {1: [], 2: []}
+        out: Steerable = {}
         for degree, keep, lift, drop in ((1, w11, w01, w10), (2, w22, w02, w20)):
-            part, y = features[degree], sh[degree]
-            out[degree].append((part * keep.unsqueeze(-1)).sum(1))
-            lifted = (scalars[..., : lift.shape[-1]] * lift).transpose(1, 2) @ y
-            out[degree].append(lifted)
-            dots = (part @ y.unsqueeze(-1)).squeeze(-1) / (2 * degree + 1) ** 0.5
-            out0.append((dots * drop).sum(1))
-        merged = {
-            0: torch.cat(out0, -1).unsqueeze(-1),
-            1: torch.cat(out[1], -2),
-            2: torch.cat(out[2], -2),
-        }
-        return pack(merged) / k**0.5
+            y = edges.harmonics[degree]
+            parts: list[Tensor] = []
+            if keep.shape[-1]:
+                part = gathered(sources[degree], edges.index)
+                parts.append((part * keep.unsqueeze(-2)).sum(1))
+                dots = (part * y.unsqueeze(-1)).sum(2) / (2 * degree + 1) ** 0.5
+                out0.append((dots * drop).sum(1))
+            lifted = y.transpose(1, 2) @ (scalars[..., : self._lift[degree]] * lift)
+            out[degree] = torch.cat([*parts, lifted], -1) / k**0.5
+        return {0: torch.cat(out0, -1).unsqueeze(-2) / k**0.5, **out}
+
+
+def gathered(features: Tensor, index: Tensor) -> Tensor:
+    """Rows `(M, k, ...)` of features `(N, ...)` at an index `(M, k)`."""
+    return features.index_select(0, index.flatten()).view(*index.shape, *features.shape[1:])
 
 
 class SelfProduct(nn.Module):
@@ -154,24 +199,21 @@ class SelfProduct(nn.Module):
     def __repr__(self) -> str:
         return f"SelfProduct({self.irreps_in} -> {self.irreps_out})"
 
-    def forward(self, features: Tensor) -> Tensor:
-        """`(N, dim)` to `(N, irreps_out.dim)`."""
+    def forward(self, features: Steerable) -> Steerable:
+        """From `irreps_in` to `irreps_out`; channel c of path p is number `c * paths + p`."""
         left, right = (
-            torch.cat([part for _, part in sorted(unpack(mix(features), self.common).items())], -1)
+            torch.cat(list(mix(features).values()), -2).transpose(-1, -2).reshape(-1, 9)
             for mix in (self.left, self.right)
         )
         outer = (left.unsqueeze(-1) * right.unsqueeze(-2)).flatten(-2)
         product = outer @ self.coupling.to(outer.dtype)
-        s, v, t = product.split((3, 12, 20), dim=-1)
-        n, c = product.shape[:-1]
-        return torch.cat(
-            [
-                s.reshape(n, c * 3),
-                v.reshape(n, c * 4 * 3),
-                t.reshape(n, c * 4 * 5),
-            ],
-            dim=-1,
-        )
+        parts = product.split((3, 12, 20), dim=-1)
+        n = len(features[0])
+        out: Steerable = {}
+        for degree, (part, paths) in enumerate(zip(parts, (3, 4, 4), strict=True)):
+            part = part.reshape(n, self.channels * paths, 2 * degree + 1)
+            out[degree] = part.transpose(-1, -2)
+        return out
 
 
 class Block(nn.Module):
@@ -188,11 +230,12 @@ class Block(nn.Module):
         irreps_target: Irreps | str | None,
         radial: int,
         hidden: int,
+        lift: tuple[int, int] | None = None,
     ) -> None:
         super().__init__()
         self.irreps_out = as_irreps(irreps_out)
         self.norm = EquivariantNorm(irreps)
-        self.convolution = ReducedConvolution(irreps, radial, hidden)
+        self.convolution = ReducedConvolution(irreps, radial, hidden, lift)
         self.gate = Gate(irreps_out)
         self.mix = EquivariantLinear(self.convolution.irreps_out, self.gate.irreps_in)
         self.own = (
@@ -204,18 +247,11 @@ class Block(nn.Module):
         self.mix_product = EquivariantLinear(self.product.irreps_out, self.gate_out.irreps_in)
         self.mix_out = EquivariantLinear(irreps_out, irreps_out)
 
-    def forward(
-        self,
-        sources: Tensor,
-        target: Tensor | None,
-        index: Tensor,
-        basis: Tensor,
-        sh: dict[int, Tensor],
-    ) -> Tensor:
-        """Features of the targets `(M, irreps_out.dim)`."""
-        message = self.convolution(self.norm(sources), index, basis, sh)
+    def forward(self, sources: Steerable, target: Steerable | None, edges: Edges) -> Steerable:
+        """Features of the targets, of `irreps_out`."""
+        message = self.convolution(self.norm(sources), edges)
         out = self.gate(self.mix(message))
         if self.own is not None and target is not None:
-            out = out + self.own(target)
+            out = sum_of(out, self.own(target))
         update = self.gate_out(self.mix_product(self.product(self.norm_out(out))))
-        return out + self.mix_out(update)
+        return sum_of(out, self.mix_out(update))

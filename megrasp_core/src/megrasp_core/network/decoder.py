@@ -10,15 +10,40 @@ equivariant (DESIGN section 6).
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections.abc import Iterable
+from typing import cast
 
 import torch
 from torch import Tensor, nn
 
 from ..lie import wigner
 from .config import ModelConfig
+from .convolution import gathered
 from .gripper_encoder import Fourier, GripperCode
 from .scene_encoder import SceneField
+
+
+@dataclasses.dataclass(frozen=True)
+class NearNodes:
+    """What P poses see around them; nothing of it needs gradients.
+
+    Attributes:
+        index: per level `(P, n)` nodes.
+        position: `(P, S, fourier)` their places in the TCP frame, embedded; all levels together.
+        gravity: `(P, 4)` gravity in the TCP frame and whether it is known.
+        matrices: D(R^T) for l = 0, 1, 2.
+        query: `(G, 5)` or `(P, G, 5)` and
+        key: `(P, S + 1, 5)`, the distances of gripper tokens and nodes (`distance_factors`).
+    """
+
+    index: tuple[Tensor, ...]
+    position: Tensor
+    gravity: Tensor
+    matrices: tuple[Tensor, Tensor, Tensor]
+    query: Tensor
+    key: Tensor
 
 
 class NoiseEmbedding(nn.Module):
@@ -63,49 +88,73 @@ class AttentionBlock(nn.Module):
         self.log_range = nn.Parameter(torch.linspace(0.0, 5.0, heads))
 
     def forward(
-        self, x: Tensor, scene: Tensor, near_q: Tensor, near_k: Tensor, time: Tensor
+        self, x: Tensor, key_value: Tensor, near_q: Tensor, near_k: Tensor, time: Tensor
     ) -> Tensor:
         """Attend.
 
         Args:
             x: `(P, G, width)` gripper tokens.
-            scene: `(P, S, width)` scene tokens.
-            near_q: `(G, 5)` and
+            key_value: `(P, S, 2 width)` keys and values of the scene tokens (`keys_and_values`).
+            near_q: `(G, 5)` or `(P, G, 5)` and
             near_k: `(P, S, 5)`, whose product is minus the squared distance (`distance_factors`).
             time: `(P, width)` noise embedding.
         """
         scale_q, shift_q, scale_f, shift_f = self.film(time).unsqueeze(1).chunk(4, -1)
-        q = self.query(self.norm_q(x) * (1 + scale_q) + shift_q)
-        k, v = self.key_value(self.norm_kv(scene)).chunk(2, -1)
-        with torch.autocast(x.device.type, enabled=False):
-            out = self._attend(
-                q.to(near_q.dtype), k.to(near_q.dtype), v.to(near_q.dtype), near_q, near_k
-            )
-        x = x + self.project(out)
-        y = self.norm_ff(x) * (1 + scale_f) + shift_f
+        q = self.query(torch.addcmul(shift_q, self.norm_q(x), 1 + scale_q))
+        x = x + self.project(self._attend(q, key_value, near_q, near_k))
+        y = torch.addcmul(shift_f, self.norm_ff(x), 1 + scale_f)
         return x + self.feed(y) + self.pool(y.mean(1, keepdim=True))
 
-    def _attend(self, q: Tensor, k: Tensor, v: Tensor, near_q: Tensor, near_k: Tensor) -> Tensor:
-        """Attention with logits q.k / sqrt(d) - range |x_q - x_k|^2, the distance as five more
+    def _attend(self, q: Tensor, key_value: Tensor, near_q: Tensor, near_k: Tensor) -> Tensor:
+        """Attention with logits q.k / sqrt(d) - range |x_q - x_k|^2, the distance as further
         channels.
 
-        So no `(P, G, S)` mask is made, which costs more than the attention itself on a CPU.
+        So no `(P, G, S)` distances are made and added, which costs more than they do as channels.
+        Plain products and a softmax: on a CPU a fused attention takes twice as long in training.
         """
         p, g, width = q.shape
-        d = width // self.heads
-        padded = d + 5 + (-(d + 5)) % 8
-        scale = self.log_range.exp()[:, None, None] * padded**0.5
+        heads, d = self.heads, width // self.heads
+        near_q = near_q.view(-1, 1, g, near_q.shape[-1]) * self.log_range.exp()[:, None, None]
+        q = q.view(p, g, heads, d).transpose(1, 2) / d**0.5
+        k, v = key_value.view(p, -1, 2, heads, d).permute(2, 0, 3, 1, 4)
+        if q.dtype == torch.bfloat16:
+            near_q, near_k = _in_halves(near_q, near_k)
+        q = torch.cat([q, near_q.expand(p, *near_q.shape[1:])], -1)
+        k = torch.cat([k, near_k.unsqueeze(1).expand(p, heads, -1, -1)], -1)
+        weights = (q.flatten(0, 1) @ k.flatten(0, 1).transpose(1, 2)).softmax(-1)
+        out = weights.to(v.dtype) @ v.flatten(0, 1)
+        return out.view(p, heads, g, d).transpose(1, 2).reshape(p, g, width)
 
-        def split(x: Tensor, own: float, near: Tensor) -> Tensor:
-            x = x.reshape(p, -1, self.heads, d).transpose(1, 2) * own
-            near = near.expand(*x.shape[:-1], 5)
-            return nn.functional.pad(torch.cat([x, near], -1), (0, padded - d - 5))
 
-        q = split(q, (padded / d) ** 0.5, near_q * scale)
-        k = split(k, 1.0, near_k.unsqueeze(1))
-        v = nn.functional.pad(v.reshape(p, -1, self.heads, d).transpose(1, 2), (0, padded - d))
-        out = nn.functional.scaled_dot_product_attention(q, k, v)[..., :d]
-        return out.transpose(1, 2).reshape(p, g, width)
+def _in_halves(left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
+    """Factors in bfloat16 whose inner product is that of the given ones to 16 bits: each number as
+    the sum of two, without the product of the small ones; one channel of zeros makes the number
+    of channels even.
+    """
+    (a, b), (c, d) = (
+        (high, (x - high.to(x.dtype)).to(torch.bfloat16))
+        for x, high in ((x, x.to(torch.bfloat16)) for x in (left, right))
+    )
+    pad = (0, 1)
+    return (
+        nn.functional.pad(torch.cat([a, a, b], -1), pad),
+        nn.functional.pad(torch.cat([c, d, c], -1), pad),
+    )
+
+
+def keys_and_values(blocks: Iterable[AttentionBlock], scene: Tensor) -> tuple[Tensor, ...]:
+    """Keys and values `(P, S, 2 width)` of the scene tokens `(P, S, width)` for every block, in
+    one product: the blocks' norms differ by scale and shift alone, which go into the weights.
+    """
+    blocks = tuple(blocks)
+    weights, biases = [], []
+    for block in blocks:
+        layer, norm = block.key_value, block.norm_kv
+        weights.append(layer.weight * norm.weight)
+        biases.append(torch.addmv(layer.bias, layer.weight, norm.bias))
+    normed = nn.functional.layer_norm(scene, scene.shape[-1:], eps=blocks[0].norm_kv.eps)
+    both = nn.functional.linear(normed, torch.cat(weights), torch.cat(biases))
+    return both.chunk(len(blocks), -1)
 
 
 class Decoder(nn.Module):
@@ -128,32 +177,78 @@ class Decoder(nn.Module):
         self.score = nn.Linear(width, 1)
         self.dim = 2 * width
 
-    def scene_tokens(
+    def near_nodes(
         self, field: SceneField, code: GripperCode, rotation: Tensor, translation: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Tokens `(P, S, width)` and their places `(P, S, 3)` m in the TCP frame."""
-        with torch.autocast(rotation.device.type, enabled=False):
+    ) -> NearNodes:
+        """The nodes that each pose looks at: those nearest to the posed gripper."""
+        with torch.no_grad(), torch.autocast(rotation.device.type, enabled=False):
             inverse = rotation.transpose(1, 2)
-            probes = code.points[code.selection] @ inverse + translation[:, None]
-            matrices = wigner.wigner_matrices(inverse)
-            features, places = [], []
-            for level, count in enumerate(self.config.scene_tokens):
-                points = field.points[level]
-                with torch.no_grad():
-                    near = nearest_nodes(points, probes, min(count, len(points)))
-                places.append((points[near] - translation[:, None]) @ rotation)
-                turned = wigner.rotate(
-                    field.features[level][near], self.config.token_irreps, inverse, matrices
-                )
-                features.append(turned)
+            probes = code.probes @ inverse + translation[:, None]
+            index, places = [], []
+            for points, count in zip(field.points, self.config.scene_tokens, strict=True):
+                near = nearest_nodes(points, probes, min(count, len(points)))
+                index.append(near)
+                places.append((gathered(points, near) - translation[:, None]) @ rotation)
             place = torch.cat(places, 1)
-            position = self.embed_position(self.fourier(place))
             gravity = field.gravity @ rotation
             known = field.gravity.square().sum().expand(len(gravity), 1)
-            extra = self.embed_gravity(torch.cat([gravity, known], -1))
-        token = torch.cat([embed(f) for embed, f in zip(self.embed_feature, features)], 1)
-        token = torch.cat([token + position, extra[:, None]], 1)
-        return token, torch.cat([place, torch.zeros_like(place[:, :1])], 1)
+            near_q, near_k = distance_factors(
+                code.points,
+                torch.cat([place, torch.zeros_like(place[:, :1])], 1),
+                self.fourier.scale,
+            )
+            return NearNodes(
+                tuple(index),
+                self.fourier(place),
+                torch.cat([gravity, known], -1),
+                wigner.wigner_matrices(inverse),
+                near_q,
+                near_k,
+            )
+
+    def scene_tokens(self, field: SceneField, near: NearNodes) -> Tensor:
+        """Tokens `(P, S, width)` of the near nodes and, last, of gravity.
+
+        The embedding of a feature that was turned into the TCP frame is the feature times a
+        matrix made of embedding and rotation: W D(R^T) f. So a pose's matrix is made once and no
+        feature is turned.
+        """
+        with torch.autocast(near.gravity.device.type, enabled=False):
+            positions = self.embed_position(near.position).split(
+                [index.shape[1] for index in near.index], 1
+            )
+            tokens = [
+                torch.baddbmm(
+                    position + embed.bias,
+                    gathered(features, index),
+                    self._turned(cast(nn.Linear, embed).weight.T, near),
+                )
+                for embed, features, index, position in zip(
+                    self.embed_feature, field.features, near.index, positions, strict=True
+                )
+            ]
+            return torch.cat([*tokens, self.embed_gravity(near.gravity)[:, None]], 1)
+
+    def _turned(self, weight: Tensor, near: NearNodes) -> Tensor:
+        """Per pose the transposed product of an embedding and D(R^T), `(P, dim, width)`; weight:
+        the transposed embedding `(dim, width)`.
+        """
+        poses, width = len(near.gravity), weight.shape[1]
+        rows: list[Tensor] = []
+        blocks = wigner.blocks_of(self.config.token_irreps)
+        parts = weight.split([mul * (2 * degree + 1) for mul, degree in blocks])
+        for (mul, degree), part in zip(blocks, parts, strict=True):
+            size = 2 * degree + 1
+            if degree == 0:
+                rows.append(part.expand(poses, -1, -1))
+                continue
+            # (P, i, j) x (j, mul width): D on the components, for all channels at once.
+            flat = part.view(mul, size, width).transpose(0, 1).reshape(size, -1)
+            turned = (near.matrices[degree].transpose(1, 2).reshape(-1, size) @ flat).view(
+                poses, size, mul, width
+            )
+            rows.append(turned.transpose(1, 2).reshape(poses, -1, width))
+        return torch.cat(rows, 1)
 
     def forward(
         self,
@@ -162,32 +257,34 @@ class Decoder(nn.Module):
         rotation: Tensor,
         translation: Tensor,
         s: Tensor,
+        near: NearNodes | None = None,
     ) -> Tensor:
         """One vector per pose.
 
         Args:
             field: the scene.
-            code: the gripper.
+            code: the gripper, or one gripper a pose.
             rotation: `(P, 3, 3)` scene_from_tcp.
             translation: `(P, 3)` m.
             s: `(P,)` noise levels.
+            near: the poses' nodes, where they are known already.
 
         Returns:
             `(P, 2 width)`.
         """
-        scene, place = self.scene_tokens(field, code, rotation, translation)
-        with torch.autocast(rotation.device.type, enabled=False):
-            near_q, near_k = distance_factors(code.points, place, self.fourier.scale)
+        near = near or self.near_nodes(field, code, rotation, translation)
+        scene = self.scene_tokens(field, near)
         time = self.time(s)
         x = self.gripper(code.tokens).expand(len(rotation), -1, -1)
-        for block in self.blocks:
-            x = block(x, scene, near_q, near_k, time)
+        known = keys_and_values(self.blocks, scene)  # type: ignore[arg-type]
+        for block, key_value in zip(self.blocks, known, strict=True):
+            x = block(x, key_value, near.query, near.key, time)
         weights = self.score(x).softmax(1)
         return torch.cat([(x * weights).sum(1), x.mean(1)], -1)
 
 
 def distance_factors(queries: Tensor, keys: Tensor, scale: float) -> tuple[Tensor, Tensor]:
-    """Factors `(G, 5)`, `(P, S, 5)` whose inner products are -|q - k|^2 in units of `scale`.
+    """Factors `(..., G, 5)`, `(P, S, 5)` whose inner products are -|q - k|^2 in units of `scale`.
 
     The last key is the gravity token: it has no place and gets a zero factor, so that no head
     loses it.

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from ..pointcloud import farthest_points, neighbours
+from ..errors import InvalidRequestError
+from ..pointcloud import SceneNodes, farthest_points, neighbours
 from .config import ModelConfig
 
 
@@ -27,33 +29,63 @@ class SceneGraph:
         same: per level, `(n_l, k)` indices into the same level.
         down: per level but the last, `(n_{l+1}, k)` indices into level l.
         up: per level but the last, `(n_l, k_up)` indices into level l+1.
+        fine: `(n_0, k_fine)` indices into the surface's points, `(n_0, 0)` for networks that do
+            not look at them.
     """
 
     nodes: tuple[Tensor, ...]
     same: tuple[Tensor, ...]
     down: tuple[Tensor, ...]
     up: tuple[Tensor, ...]
+    fine: Tensor
 
     def to(self, device: torch.device | str) -> SceneGraph:
         """The graph on another device."""
+        return self._with(lambda index: index.to(device))
+
+    def narrow(self) -> SceneGraph:
+        """The same in the smallest integers that hold it, to be kept in large numbers."""
+        return self._with(
+            lambda index: index.to(
+                torch.int16 if not index.numel() or int(index.max()) < 2**15 else torch.int32
+            )
+        )
+
+    def wide(self) -> SceneGraph:
+        """The same in the integers that the network takes; undoes `narrow`."""
+        return self._with(lambda index: index.long())
+
+    def _with(self, change: Callable[[Tensor], Tensor]) -> SceneGraph:
         return SceneGraph(
-            *(tuple(t.to(device) for t in getattr(self, f.name)) for f in dataclasses.fields(self))
+            nodes=tuple(change(index) for index in self.nodes),
+            same=tuple(change(index) for index in self.same),
+            down=tuple(change(index) for index in self.down),
+            up=tuple(change(index) for index in self.up),
+            fine=change(self.fine),
         )
 
 
-def build_graph(points: np.ndarray, config: ModelConfig) -> SceneGraph:
+def build_graph(nodes: SceneNodes, config: ModelConfig) -> SceneGraph:
     """Choose the coarse nodes by farthest points and find all neighbours.
 
     Args:
-        points: `(N, 3)` m.
+        nodes: of the scene; with `config.fine_neighbours` they must come with their surface.
         config: sizes.
+
+    Raises:
+        InvalidRequestError: the network looks at fine geometry and the nodes come without.
     """
-    points = np.asarray(points, dtype=np.float64)
-    nodes = [np.arange(len(points))]
+    if config.fine_neighbours and nodes.surface is None:
+        raise InvalidRequestError(
+            "the nodes came without their surface; expected it for a network with "
+            f"fine_neighbours = {config.fine_neighbours}. Make the nodes with `scene_nodes`."
+        )
+    points = np.asarray(nodes.points, dtype=np.float64)
+    levels = [np.arange(len(points))]
     for _ in range(1, config.levels):
-        count = max(1, len(nodes[-1]) // config.level_ratio)
-        nodes.append(nodes[-1][farthest_points(points[nodes[-1]], count)])
-    clouds = [points[index] for index in nodes]
+        count = max(1, len(levels[-1]) // config.level_ratio)
+        levels.append(levels[-1][farthest_points(points[levels[-1]], count)])
+    clouds = [points[index] for index in levels]
 
     def nearest(queries: np.ndarray, sources: np.ndarray, k: int) -> Tensor:
         _, index = neighbours(queries, sources, min(k, len(sources)))
@@ -62,8 +94,11 @@ def build_graph(points: np.ndarray, config: ModelConfig) -> SceneGraph:
     k, k_up = config.neighbours, config.up_neighbours
     pairs = list(itertools.pairwise(clouds))
     return SceneGraph(
-        nodes=tuple(torch.as_tensor(index, dtype=torch.long) for index in nodes),
+        nodes=tuple(torch.as_tensor(index, dtype=torch.long) for index in levels),
         same=tuple(nearest(cloud, cloud, k) for cloud in clouds),
         down=tuple(nearest(coarse, fine, k) for fine, coarse in pairs),
         up=tuple(nearest(fine, coarse, k_up) for fine, coarse in pairs),
+        fine=torch.zeros(len(points), 0, dtype=torch.long)
+        if nodes.surface is None or not config.fine_neighbours
+        else nearest(points, np.asarray(nodes.surface.points, np.float64), config.fine_neighbours),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
@@ -13,17 +14,36 @@ from .config import ModelConfig
 
 @dataclasses.dataclass(frozen=True)
 class GripperCode:
-    """A gripper as the decoder reads it.
+    """A gripper as the decoder reads it, or one gripper per pose with a leading dimension P.
 
     Attributes:
-        points: `(G, 3)` m, TCP frame.
-        tokens: `(G, width)`.
-        selection: `(S,)` indices of the tokens that decide which scene nodes are near.
+        points: `(G, 3)` or `(P, G, 3)` m, TCP frame.
+        tokens: `(G, width)` or `(P, G, width)`.
+        probes: `(S, 3)` or `(P, S, 3)` m, the points that decide which scene nodes are near.
     """
 
     points: Tensor
     tokens: Tensor
-    selection: Tensor
+    probes: Tensor
+
+    @staticmethod
+    def of_poses(codes: Sequence[GripperCode], counts: Sequence[int]) -> GripperCode:
+        """One gripper per pose: the first code for the first `counts[0]` poses, and so on.
+
+        The codes must have equally many tokens.
+        """
+        if len(codes) == 1:
+            return codes[0]
+
+        def repeated(parts: list[Tensor]) -> Tensor:
+            repeats = torch.as_tensor(list(counts), device=parts[0].device)
+            return torch.stack(parts).repeat_interleave(repeats, 0)
+
+        return GripperCode(
+            repeated([code.points for code in codes]),
+            repeated([code.tokens for code in codes]),
+            repeated([code.probes for code in codes]),
+        )
 
 
 class Fourier(nn.Module):
@@ -67,21 +87,25 @@ class GripperEncoder(nn.Module):
 
     def forward(
         self, points: Tensor, normals: Tensor, closed: Tensor, displacement: Tensor
-    ) -> GripperCode:
-        """Encode one gripper.
+    ) -> list[GripperCode]:
+        """Encode K grippers.
 
         Args:
-            points: `(G, 3)` m, TCP frame, open and closed.
-            normals: `(G, 3)` unit.
-            closed: `(G,)` bool.
-            displacement: `(G, 3)` m, from the open to the closed place of the same surface point.
+            points: `(K, G, 3)` m, TCP frame, open and closed.
+            normals: `(K, G, 3)` unit.
+            closed: `(K, G)` bool.
+            displacement: `(K, G, 3)` m, from the open to the closed place of the same surface
+                point.
         """
-        flag = closed[:, None].to(points.dtype)
+        flag = closed.unsqueeze(-1).to(points.dtype)
         motion = displacement / self.fourier.scale
-        x = self.embed(torch.cat([self.fourier(points), normals, motion, flag], -1))[None]
+        x = self.embed(torch.cat([self.fourier(points), normals, motion, flag], -1))
         for layer in self.layers:
             x = layer(x)
-        return GripperCode(points, x[0], spread(points, self.selection_tokens))
+        return [
+            GripperCode(cloud, tokens, cloud[spread(cloud, self.selection_tokens)])
+            for cloud, tokens in zip(points, x, strict=True)
+        ]
 
 
 def spread(points: Tensor, count: int) -> Tensor:

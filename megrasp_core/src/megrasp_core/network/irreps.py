@@ -1,8 +1,10 @@
-"""Small equivariant layers on e3nn's flat feature layout.
+"""Small equivariant layers.
 
-A feature of irreps `64x0e+32x1o+16x2e` is a flat vector `(..., dim)`, channel-major within one
-degree, as in
-e3nn. Only natural parity (0e, 1o, 2e), each degree at most once and in this order, is used here.
+Inside the network a feature of irreps `64x0e+32x1o+16x2e` is a `Steerable`: one tensor
+`(..., 2l+1, mul)` per degree, components before channels, so that mixing channels is one matrix
+product and nothing is cut out of or put back into a flat vector. `unpack` and `pack` convert from
+and to e3nn's flat layout `(..., dim)`, channels before components, which is used at the borders.
+Only natural parity (0e, 1o, 2e), each degree at most once and in this order, is used here.
 """
 
 from __future__ import annotations
@@ -12,6 +14,9 @@ from typing import cast
 import torch
 from e3nn.o3 import Irreps
 from torch import Tensor, nn
+
+Steerable = dict[int, Tensor]
+"""Degree l -> `(..., 2l+1, mul)`, ascending degrees."""
 
 
 def as_irreps(irreps: Irreps | str) -> Irreps:
@@ -35,21 +40,30 @@ def multiplicities(irreps: Irreps | str) -> dict[int, int]:
     return found
 
 
-def unpack(features: Tensor, irreps: Irreps | str) -> dict[int, Tensor]:
-    """Split `(..., dim)` into `{l: (..., mul, 2l+1)}`."""
-    out: dict[int, Tensor] = {}
-    start = 0
-    for degree, mul in multiplicities(irreps).items():
-        size = mul * (2 * degree + 1)
-        part = features[..., start : start + size]
-        out[degree] = part.reshape(*part.shape[:-1], mul, 2 * degree + 1)
-        start += size
-    return out
+def unpack(features: Tensor, irreps: Irreps | str) -> Steerable:
+    """From e3nn's flat layout `(..., dim)`."""
+    mul = multiplicities(irreps)
+    # `split` and not slices: their gradients are zero-filled tensors of the whole size.
+    parts = features.split([count * (2 * degree + 1) for degree, count in mul.items()], -1)
+    return {
+        degree: part.unflatten(-1, (count, 2 * degree + 1)).transpose(-1, -2)
+        for (degree, count), part in zip(mul.items(), parts, strict=True)
+    }
 
 
-def pack(parts: dict[int, Tensor]) -> Tensor:
-    """Inverse of `unpack`."""
-    return torch.cat([parts[degree].flatten(-2) for degree in sorted(parts)], dim=-1)
+def pack(parts: Steerable) -> Tensor:
+    """To e3nn's flat layout `(..., dim)`."""
+    return torch.cat([parts[degree].transpose(-1, -2).flatten(-2) for degree in sorted(parts)], -1)
+
+
+def scalars_of(features: Steerable) -> Tensor:
+    """The invariant part `(..., mul)`."""
+    return features[0].squeeze(-2)
+
+
+def sum_of(left: Steerable, right: Steerable) -> Steerable:
+    """Sum of two features of the same irreps."""
+    return {degree: part + right[degree] for degree, part in left.items()}
 
 
 class EquivariantLinear(nn.Module):
@@ -61,35 +75,27 @@ class EquivariantLinear(nn.Module):
         super().__init__()
         self.irreps_in, self.irreps_out = as_irreps(irreps_in), as_irreps(irreps_out)
         source, target = multiplicities(self.irreps_in), multiplicities(self.irreps_out)
-        self._target = target
+        missing = [degree for degree in target if degree not in source]
+        if missing:
+            raise ValueError(f"degrees {missing} of {irreps_out} cannot be made from {irreps_in}")
+        self._degrees = tuple(target)
         self.weights = nn.ParameterDict(
             {
                 str(degree): nn.Parameter(torch.randn(source[degree], mul) / source[degree] ** 0.5)
                 for degree, mul in target.items()
-                if degree in source
             }
         )
-        missing = [degree for degree in target if degree not in source]
-        if missing:
-            raise ValueError(f"degrees {missing} of {irreps_out} cannot be made from {irreps_in}")
         self.bias = nn.Parameter(torch.zeros(target[0])) if bias and 0 in target else None
 
     def __repr__(self) -> str:
         return f"EquivariantLinear({self.irreps_in} -> {self.irreps_out})"
 
-    def forward(self, features: Tensor) -> Tensor:
-        """`(..., dim_in)` to `(..., dim_out)`."""
-        parts = unpack(features, self.irreps_in)
-        out: list[Tensor] = []
-        for degree in self._target:
-            weight = self.weights[str(degree)]
-            if degree == 0:
-                value = parts[0].squeeze(-1) @ weight
-                out.append(value if self.bias is None else value + self.bias)
-            else:
-                mixed = torch.einsum("...cm,cd->...dm", parts[degree], weight)
-                out.append(mixed.flatten(-2))
-        return torch.cat(out, dim=-1)
+    def forward(self, features: Steerable) -> Steerable:
+        """From `irreps_in` to `irreps_out`."""
+        out = {degree: features[degree] @ self.weights[str(degree)] for degree in self._degrees}
+        if self.bias is not None:
+            out[0] = out[0] + self.bias
+        return out
 
 
 class EquivariantNorm(nn.Module):
@@ -99,60 +105,54 @@ class EquivariantNorm(nn.Module):
 
     def __init__(self, irreps: Irreps | str, eps: float = 1e-6) -> None:
         super().__init__()
-        self.irreps = as_irreps(irreps)
+        self.irreps_in = self.irreps_out = as_irreps(irreps)
         self.eps = eps
-        self._mul = multiplicities(self.irreps)
-        self.scalar = nn.LayerNorm(self._mul[0])
+        mul = multiplicities(self.irreps_in)
+        self.scalar = nn.LayerNorm(mul[0])
         self.scales = nn.ParameterDict(
             {
-                str(degree): nn.Parameter(torch.ones(mul))
-                for degree, mul in self._mul.items()
+                str(degree): nn.Parameter(torch.ones(count))
+                for degree, count in mul.items()
                 if degree
             }
         )
 
     def __repr__(self) -> str:
-        return f"EquivariantNorm({self.irreps})"
+        return f"EquivariantNorm({self.irreps_in})"
 
-    def forward(self, features: Tensor) -> Tensor:
-        """`(..., dim)` to `(..., dim)`."""
-        parts = unpack(features, self.irreps)
-        out = {0: self.scalar(parts[0].squeeze(-1)).unsqueeze(-1)}
-        for degree, scale in self.scales.items():
-            part = parts[int(degree)]
-            mean_square = part.square().sum(-1).mean(-1) / part.shape[-1]
-            part = part * torch.rsqrt(mean_square + self.eps)[..., None, None]
-            out[int(degree)] = part * scale[:, None]
-        return pack(out)
+    def forward(self, features: Steerable) -> Steerable:
+        """Same irreps in and out."""
+        out = {0: self.scalar(features[0])}
+        for name, scale in self.scales.items():
+            part = features[int(name)]
+            mean_square = part.square().mean((-2, -1), keepdim=True)
+            out[int(name)] = part * (torch.rsqrt(mean_square + self.eps) * scale)
+        return out
 
 
 class Gate(nn.Module):
     """SiLU on scalars; higher degrees multiplied by a sigmoid of own gate scalars.
 
-    Takes `irreps_in` (= `irreps` with one more scalar for each channel of higher degree, in
+    Takes `irreps_in` (= `irreps_out` with one more scalar for each channel of higher degree, in
     front).
     """
 
     def __init__(self, irreps: Irreps | str) -> None:
         super().__init__()
-        self.irreps = as_irreps(irreps)
-        self._mul = multiplicities(self.irreps)
-        self.gates = sum(mul for degree, mul in self._mul.items() if degree)
-        scalars = self._mul[0] + self.gates
-        rest = [(mul, (degree, (-1) ** degree)) for degree, mul in self._mul.items() if degree]
-        self.irreps_in = cast(Irreps, Irreps([(scalars, (0, 1)), *rest]))
+        self.irreps_out = as_irreps(irreps)
+        mul = multiplicities(self.irreps_out)
+        self._sizes = [*(count for degree, count in mul.items() if degree), mul[0]]
+        rest = [(count, (degree, (-1) ** degree)) for degree, count in mul.items() if degree]
+        self.irreps_in = cast(Irreps, Irreps([(sum(self._sizes), (0, 1)), *rest]))
 
     def __repr__(self) -> str:
-        return f"Gate({self.irreps_in} -> {self.irreps})"
+        return f"Gate({self.irreps_in} -> {self.irreps_out})"
 
-    def forward(self, features: Tensor) -> Tensor:
-        """`(..., dim_in)` to `(..., dim)`."""
-        gates = torch.sigmoid(features[..., : self.gates])
-        parts = unpack(features[..., self.gates :], self.irreps)
-        out = {0: nn.functional.silu(parts[0])}
-        start = 0
-        for degree, mul in self._mul.items():
-            if degree:
-                out[degree] = parts[degree] * gates[..., start : start + mul, None]
-                start += mul
-        return pack(out)
+    def forward(self, features: Steerable) -> Steerable:
+        """From `irreps_in` to `irreps_out`."""
+        *gates, scalars = features[0].split(self._sizes, -1)
+        out = {0: nn.functional.silu(scalars)}
+        higher = [degree for degree in features if degree]
+        for degree, gate in zip(higher, gates, strict=True):
+            out[degree] = features[degree] * torch.sigmoid(gate)
+        return out

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from ..grippers import GripperTokens
-from ..pointcloud import SceneNodes
+from ..pointcloud import SceneNodes, SurfacePoints
 from .config import ModelConfig
+from .convolution import ReducedConvolution
 from .decoder import Decoder
 from .graph import SceneGraph, build_graph
 from .gripper_encoder import GripperCode, GripperEncoder
 from .irreps import multiplicities
-from .scene_encoder import SceneEncoder, SceneField
+from .kernels import require_kernels
+from .scene_encoder import SceneEncoder, SceneField, SurfaceInput
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,6 +67,17 @@ class GraspModel(nn.Module):
         """Type of the weights."""
         return next(self.parameters()).dtype
 
+    def use_kernels(self) -> None:
+        """Let compiled kernels do the message passing on a CPU; made at first use, in seconds.
+
+        Raises:
+            InvalidRequestError: numba is missing.
+        """
+        require_kernels()
+        for module in self.modules():
+            if isinstance(module, ReducedConvolution):
+                module.compiled = True
+
     def encode_scene(self, nodes: SceneNodes, graph: SceneGraph | None = None) -> SceneField:
         """Encode a preprocessed cloud; once per cloud.
 
@@ -71,29 +85,38 @@ class GraspModel(nn.Module):
             nodes: centred points, normals, plane flags and gravity.
             graph: levels and neighbours; built from the points when absent.
         """
-        graph = build_graph(nodes.points, self.config) if graph is None else graph
+        graph = build_graph(nodes, self.config) if graph is None else graph
 
         def tensor(values: object, dtype: torch.dtype | None = None) -> Tensor:
             return torch.as_tensor(values, dtype=dtype or self.dtype, device=self.device)
 
+        def points(cloud: SceneNodes | SurfacePoints) -> SurfaceInput:
+            return SurfaceInput(
+                tensor(cloud.points), tensor(cloud.normals), tensor(cloud.on_plane, torch.bool)
+            )
+
+        fine = self.config.fine_neighbours > 0 and nodes.surface is not None
         return self.scene_encoder(
-            tensor(nodes.points),
-            tensor(nodes.normals),
-            tensor(nodes.on_plane, torch.bool),
+            points(nodes),
+            points(nodes.surface) if fine and nodes.surface is not None else None,
             tensor(nodes.gravity),
             graph.to(self.device),
         )
 
     def encode_gripper(self, tokens: GripperTokens) -> GripperCode:
         """Encode a gripper's open and closed points; once per gripper."""
+        return self.encode_grippers([tokens])[0]
 
-        def tensor(values: object) -> Tensor:
+    def encode_grippers(self, tokens: Sequence[GripperTokens]) -> list[GripperCode]:
+        """Encode several grippers, with equally many tokens, together."""
+
+        def tensor(name: str) -> Tensor:
+            values = np.stack([getattr(part, name) for part in tokens])
             return torch.as_tensor(values, dtype=self.dtype, device=self.device)
 
         return self.gripper_encoder(
-            tensor(tokens.points), tensor(tokens.normals), tensor(tokens.closed),
-            tensor(tokens.displacement),
-        )  # fmt: skip
+            tensor("points"), tensor("normals"), tensor("closed"), tensor("displacement")
+        )
 
     def predict(
         self,
@@ -123,8 +146,9 @@ class GraspModel(nn.Module):
         """Logit `(P,)` that the verdict on these poses is success."""
         s = torch.full((len(rotation),), self.config.s_min, dtype=self.dtype, device=self.device)
         with self._tokens():
-            shared = self.decoder(field, code, rotation, translation, s)
-            own = self.confidence_decoder(field, code, rotation, translation, s)
+            near = self.decoder.near_nodes(field, code, rotation, translation)
+            shared = self.decoder(field, code, rotation, translation, s, near)
+            own = self.confidence_decoder(field, code, rotation, translation, s, near)
         feature = torch.cat([shared, own], -1).to(self.dtype)
         return self.confidence_head(feature).squeeze(-1)
 

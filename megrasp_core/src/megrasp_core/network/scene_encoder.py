@@ -5,14 +5,15 @@ scene.
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import torch
 from torch import Tensor, nn
 
 from .config import ModelConfig
-from .convolution import Block, RadialBasis, harmonics
+from .convolution import Block, Edges, RadialBasis, gathered, harmonics
 from .graph import SceneGraph
-from .irreps import EquivariantLinear, multiplicities
+from .irreps import EquivariantLinear, Steerable, multiplicities, pack, scalars_of
 
 INPUT_IRREPS = "3x0e+2x1o"
 
@@ -23,10 +24,11 @@ class SceneField:
 
     Attributes:
         points: per level `(n_l, 3)` m.
-        features: per level `(n_l, token_irreps.dim)`.
+        features: per level `(n_l, token_irreps.dim)`, e3nn's layout.
         invariants: `(n_1, c)` scalars of the second level, for the graspability head.
         gravity: `(3,)` unit vector, zeros where unknown.
         plane: `(n_0,)` bool, nodes on the support plane.
+        coarse_plane: `(n_1,)` bool, the same of the second level.
     """
 
     points: tuple[Tensor, ...]
@@ -34,111 +36,147 @@ class SceneField:
     invariants: Tensor
     gravity: Tensor
     plane: Tensor
+    coarse_plane: Tensor
+
+
+@dataclasses.dataclass(frozen=True)
+class SurfaceInput:
+    """Points of the scene as tensors.
+
+    Attributes:
+        points: `(N, 3)` m, centred.
+        normals: `(N, 3)` unit, towards the sensor.
+        plane: `(N,)` bool.
+    """
+
+    points: Tensor
+    normals: Tensor
+    plane: Tensor
 
 
 class SceneEncoder(nn.Module):
-    """U-Net of `Block`s with skip connections (DESIGN section 6)."""
+    """U-Net of `Block`s with skip connections (DESIGN section 6).
+
+    With `config.fine_neighbours` the first block of the finest level gathers voxel points of the
+    surface instead of neighbouring nodes, so that detail finer than the nodes' spacing comes in.
+    """
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
         self.config = config
         fine, coarse = config.fine_irreps, config.coarse_irreps
         irreps = [fine] + [coarse] * (config.levels - 1)
-        sizes = {"radial": config.radial_functions, "hidden": config.radial_hidden}
+        make = functools.partial(
+            Block, radial=config.radial_functions, hidden=config.radial_hidden
+        )
         self.bases = nn.ModuleList(
             RadialBasis(config.radial_functions, radius) for radius in config.radii
         )
-        self.embed = EquivariantLinear(INPUT_IRREPS, _without_tensors(fine))
-        self.lift = _Lift(fine)
+        self.fine_basis = RadialBasis(config.radial_functions, config.fine_radius)
+        embedded = _without_tensors(fine)
+        self._tensors = multiplicities(fine)[2]
+        self.embed = EquivariantLinear(INPUT_IRREPS, embedded)
+        first = make(fine, fine, irreps_target=fine)
+        if config.fine_neighbours:
+            lift = (multiplicities(fine)[1], self._tensors)
+            first = make(embedded, fine, irreps_target=fine, lift=lift)
         self.same = nn.ModuleList(
             nn.ModuleList(
-                Block(irreps[level], irreps[level], irreps_target=irreps[level], **sizes)
-                for _ in range(config.blocks[level])
+                first
+                if level == block == 0
+                else make(irreps[level], irreps[level], irreps_target=irreps[level])
+                for block in range(config.blocks[level])
             )
             for level in range(config.levels)
         )
         steps = range(config.levels - 1)
         self.down = nn.ModuleList(
-            Block(irreps[level], irreps[level + 1], irreps_target=irreps[level], **sizes)
-            for level in steps
+            make(irreps[level], irreps[level + 1], irreps_target=irreps[level]) for level in steps
         )
         self.up = nn.ModuleList(
-            Block(irreps[level + 1], irreps[level], irreps_target=irreps[level], **sizes)
-            for level in steps
+            make(irreps[level + 1], irreps[level], irreps_target=irreps[level]) for level in steps
         )
         self.tokens = nn.ModuleList(EquivariantLinear(ir, config.token_irreps) for ir in irreps)
 
     def forward(
-        self, points: Tensor, normals: Tensor, plane: Tensor, gravity: Tensor, graph: SceneGraph
+        self,
+        nodes: SurfaceInput,
+        surface: SurfaceInput | None,
+        gravity: Tensor,
+        graph: SceneGraph,
     ) -> SceneField:
         """Encode one scene.
 
         Args:
-            points: `(N, 3)` m, centred.
-            normals: `(N, 3)` unit, towards the sensor.
-            plane: `(N,)` bool.
+            nodes: the N nodes of the finest level.
+            surface: the points that the nodes were chosen from; read with
+                `config.fine_neighbours` alone.
             gravity: `(3,)` unit vector, or zeros where unknown.
             graph: levels and neighbours.
         """
-        known = gravity.square().sum()
-        slope = (normals * gravity).sum(-1, keepdim=True)
-        constants = torch.cat([plane[:, None].to(points.dtype), slope, known.expand_as(slope)], -1)
-        vectors = torch.cat([normals, gravity.expand_as(normals)], -1)
-        features = self.lift(self.embed(torch.cat([constants, vectors], -1)))
-        clouds = [points[index] for index in graph.nodes]
+        features = self._lifted(self._embedded(nodes, gravity))
+        clouds = [nodes.points[index] for index in graph.nodes]
 
-        skips: list[Tensor] = []
+        skips: list[Steerable] = []
         for level, blocks in enumerate(self.same):
             if level:
-                features = self._pass(self.down[level - 1], level - 1, clouds[level - 1], features,
-                                      clouds[level], skips[-1][_within(graph, level)],
-                                      graph.down[level - 1])  # fmt: skip
-            edges = self._edges(level, clouds[level], clouds[level], graph.same[level])
-            for block in blocks:  # type: ignore[attr-defined]
-                features = block(features, features, graph.same[level], *edges)
+                own = _rows(skips[-1], _within(graph, level))
+                edges = self._edges(
+                    self.bases[level - 1], clouds[level - 1], clouds[level], graph.down[level - 1]
+                )
+                features = self.down[level - 1](features, own, edges)
+            edges = self._edges(self.bases[level], clouds[level], clouds[level], graph.same[level])
+            for index, block in enumerate(blocks):  # type: ignore[arg-type]
+                if level == index == 0 and self.config.fine_neighbours and surface is not None:
+                    near = self._edges(self.fine_basis, surface.points, clouds[0], graph.fine)
+                    features = block(self._embedded(surface, gravity), features, near)
+                else:
+                    features = block(features, features, edges)
             skips.append(features)
         outputs = [skips[-1]]
         for level in reversed(range(len(clouds) - 1)):
-            features = self._pass(self.up[level], level, clouds[level + 1], outputs[0],
-                                  clouds[level], skips[level], graph.up[level])  # fmt: skip
-            outputs.insert(0, features)
-        tokens = tuple(head(out) for head, out in zip(self.tokens, outputs))
-        scalars = multiplicities(self.config.coarse_irreps)[0]
-        return SceneField(tuple(clouds), tokens, outputs[1][:, :scalars], gravity, plane)
+            edges = self._edges(
+                self.bases[level], clouds[level + 1], clouds[level], graph.up[level]
+            )
+            outputs.insert(0, self.up[level](outputs[0], skips[level], edges))
+        tokens = tuple(pack(head(out)) for head, out in zip(self.tokens, outputs))
+        return SceneField(
+            tuple(clouds),
+            tokens,
+            scalars_of(outputs[1]),
+            gravity,
+            nodes.plane,
+            nodes.plane[graph.nodes[1]],
+        )
 
-    def _edges(
-        self, level: int, sources: Tensor, targets: Tensor, index: Tensor
-    ) -> tuple[Tensor, dict[int, Tensor]]:
-        vectors = sources[index] - targets[:, None]
-        return self.bases[level](vectors), harmonics(vectors)
+    def _embedded(self, cloud: SurfaceInput, gravity: Tensor) -> Steerable:
+        """Features of degrees 0 and 1: plane flag, slope against gravity, whether gravity is
+        known; normal and gravity.
+        """
+        known = gravity.square().sum()
+        slope = (cloud.normals * gravity).sum(-1, keepdim=True)
+        plane = cloud.plane[:, None].to(cloud.points.dtype)
+        constants = torch.cat([plane, slope, known.expand_as(slope)], -1)
+        vectors = torch.stack([cloud.normals, gravity.expand_as(cloud.normals)], -1)
+        return self.embed({0: constants.unsqueeze(-2), 1: vectors})
 
-    def _pass(
-        self,
-        block: nn.Module,
-        level: int,
-        sources: Tensor,
-        features: Tensor,
-        targets: Tensor,
-        own: Tensor,
-        index: Tensor,
-    ) -> Tensor:
-        return block(features, own, index, *self._edges(level, sources, targets, index))
+    def _lifted(self, features: Steerable) -> Steerable:
+        """The same with zero channels of degree 2."""
+        scalars = features[0]
+        return {**features, 2: scalars.new_zeros(len(scalars), 5, self._tensors)}
 
-
-class _Lift(nn.Module):
-    """Adds zero channels of degree 2 to features that have none yet."""
-
-    def __init__(self, irreps: str) -> None:
-        super().__init__()
-        self.extra = 5 * multiplicities(irreps)[2]
-
-    def forward(self, features: Tensor) -> Tensor:
-        return torch.cat([features, features.new_zeros(len(features), self.extra)], -1)
+    def _edges(self, basis: nn.Module, sources: Tensor, targets: Tensor, index: Tensor) -> Edges:
+        vectors = gathered(sources, index) - targets[:, None]
+        return Edges(index, basis(vectors), harmonics(vectors))
 
 
 def _without_tensors(irreps: str) -> str:
     mul = multiplicities(irreps)
     return f"{mul[0]}x0e+{mul[1]}x1o"
+
+
+def _rows(features: Steerable, index: Tensor) -> Steerable:
+    return {degree: part.index_select(0, index) for degree, part in features.items()}
 
 
 def _within(graph: SceneGraph, level: int) -> Tensor:

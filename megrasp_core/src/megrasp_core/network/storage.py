@@ -15,6 +15,7 @@ from safetensors.torch import load_file, save_file
 from ..errors import ModelError
 from .config import ModelConfig
 from .model import GraspModel
+from .precision import low_precision_pays
 
 WEIGHTS = "model.safetensors"
 CONFIG = "config.json"
@@ -92,7 +93,6 @@ def load_model(
             "Restore both files from the same version."
         )
     result.info = info
-    result.low_precision = bool(info.get("low_precision", False))
     try:
         result.to(device=device, dtype=dtype)
     except (RuntimeError, AssertionError) as error:
@@ -100,6 +100,7 @@ def load_model(
             f"device {device!r} cannot be used ({error}); expected cpu or an available cuda "
             "device."
         ) from error
+    result.low_precision = bool(info.get("low_precision")) and low_precision_pays(device)
     return result.eval().requires_grad_(False)
 
 

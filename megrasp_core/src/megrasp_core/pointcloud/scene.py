@@ -88,7 +88,8 @@ class SceneNodes:
 
     points (N, 3) and normals (N, 3) float32; on_plane (N,); gravity (3,) float32, zeros when
     unknown; centroid (3,) float64: world = points + centroid. The nodes are in the order of
-    farthest points, so the first k are an even subset for every k.
+    farthest points, so the first k are an even subset for every k. surface: all voxel means that
+    the nodes were chosen from, for networks that look at fine geometry; None: not kept.
     """
 
     points: NDArray[np.float32]
@@ -96,6 +97,19 @@ class SceneNodes:
     on_plane: BoolArray
     gravity: NDArray[np.float32]
     centroid: FloatArray
+    surface: SurfacePoints | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SurfacePoints:
+    """M voxel means beside the nodes, in the nodes' coordinates.
+
+    points (M, 3) and normals (M, 3) float32; on_plane (M,).
+    """
+
+    points: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    on_plane: BoolArray
 
 
 def surface_cloud(
@@ -217,6 +231,11 @@ def nodes_at(surface: SurfaceCloud, chosen: NDArray[np.intp]) -> SceneNodes:
         surface.on_plane[chosen],
         gravity.astype(np.float32),
         centroid,
+        SurfacePoints(
+            (surface.points - centroid).astype(np.float32),
+            surface.normals.astype(np.float32),
+            surface.on_plane,
+        ),
     )
 
 

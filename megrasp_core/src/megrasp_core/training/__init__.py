@@ -1,18 +1,34 @@
-"""Training: batches, losses, loop, checkpoints that resume, loss curves."""
+"""Training: batches, losses, loop, validation, checkpoints that resume, loss curves."""
 
-from .batching import LabelledPoses, SceneBatch, SceneSource, balance, record_nodes
-from .config import Counters, TrainConfig
-from .loop import train
+from .batching import LabelledPoses, SceneBatch, SceneSource, balance, scene_batch
+from .config import GRIPPERS, Counters, TrainConfig, rate_factor
+from .loop import TrainingJob, TrainingRun, resume_training, train
 from .losses import scene_losses
+from .scenes import PoseTable, TrainingEntry, divided, is_held_out, read_entries, without_objects
+from .validation import ValidationResult, validate, validation_pairs
 
 __all__ = [
+    "GRIPPERS",
     "Counters",
     "LabelledPoses",
+    "PoseTable",
     "SceneBatch",
     "SceneSource",
     "TrainConfig",
+    "TrainingEntry",
+    "TrainingJob",
+    "TrainingRun",
+    "ValidationResult",
     "balance",
-    "record_nodes",
+    "divided",
+    "is_held_out",
+    "rate_factor",
+    "read_entries",
+    "resume_training",
+    "scene_batch",
     "scene_losses",
     "train",
+    "validate",
+    "validation_pairs",
+    "without_objects",
 ]

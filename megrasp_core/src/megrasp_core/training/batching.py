@@ -1,19 +1,20 @@
-"""From scene records to what one training step needs."""
+"""What one training step takes of one scene."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from ..datasets import TrainingScene
-from ..lie import se3
-from ..network import ModelConfig, SceneGraph, build_graph
+from ..grippers.family import is_procedural
+from ..network import SceneGraph
 from ..pointcloud import SceneNodes, SceneSettings
 from .config import TrainConfig
+from .scenes import PoseTable, TrainingEntry
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,141 +22,216 @@ class LabelledPoses:
     """Poses of one gripper in one scene, in centred scene coordinates.
 
     Attributes:
-        rotation: `(P, 3, 3)`.
+        rotation: `(P, 3, 3)` scene_from_tcp.
         translation: `(P, 3)` m.
-        label: `(P,)` float, 1 success, 0 failure.
+        target: `(P,)` share of trials that held.
     """
 
     rotation: Tensor
     translation: Tensor
-    label: Tensor
+    target: Tensor
+
+    def __len__(self) -> int:
+        return len(self.target)
 
 
 @dataclasses.dataclass(frozen=True)
 class SceneBatch:
-    """One scene with positives to diffuse and labelled poses for the confidence, per gripper."""
+    """One scene with poses per gripper; grippers without any are left out.
+
+    Attributes:
+        nodes: of the scene, with a graph.
+        graph: levels and neighbours.
+        positives: poses to diffuse.
+        labelled: poses for the confidence.
+        graspable: all positives' TCPs `(K, 3)` m, for the graspability.
+        tried: all labels' TCPs `(K, 3)` m.
+    """
 
     nodes: SceneNodes
     graph: SceneGraph
     positives: dict[str, LabelledPoses]
     labelled: dict[str, LabelledPoses]
-    centres: dict[str, Tensor]
-    """All positives' TCPs `(K, 3)`, for the graspability."""
+    graspable: dict[str, Tensor]
+    tried: dict[str, Tensor]
 
+    @property
+    def grippers(self) -> list[str]:
+        """All grippers that occur."""
+        return list(dict.fromkeys([*self.positives, *self.labelled, *self.graspable]))
 
-def record_nodes(
-    record: TrainingScene, *, seed: int = 0, jitter: float = 0.0, drop_gravity: bool = False
-) -> SceneNodes:
-    """Nodes of a stored scene.
+    @property
+    def noisy_poses(self) -> int:
+        """How many poses are diffused."""
+        return sum(len(poses) for poses in self.positives.values())
 
-    Args:
-        record: a scene.
-        seed: 0 for the nodes of inference, else a random choice of them.
-        jitter: noise (m) on the points.
-        drop_gravity: leave gravity unknown.
-    """
-    nodes = record.nodes(SceneSettings(), seed)
-    if drop_gravity:
-        nodes = dataclasses.replace(nodes, gravity=np.zeros(3, np.float32))
-    if jitter:
-        noise = np.random.default_rng(seed).normal(0.0, jitter, nodes.points.shape)
-        nodes = dataclasses.replace(nodes, points=nodes.points + noise.astype(np.float32))
-    return nodes
+    @property
+    def labelled_poses(self) -> int:
+        """How many poses train the confidence."""
+        return sum(len(poses) for poses in self.labelled.values())
 
 
 class SceneSource:
-    """Draws scenes and poses for training.
+    """Draws scenes, each for one of its grippers, so that every gripper gets its share.
 
     Args:
-        dataset: the scenes.
+        entries: the scenes.
         config: hyper-parameters.
-        network: sizes, for the graph.
-        indices: which scenes of the data set to draw from.
+        settings: preprocessing.
+
+    Attributes:
+        pools: gripper -> places of the scenes that it can be drawn for: those with a grasp that
+            held; for the heads alone, with any label.
+        grippers: all grippers of the scenes that the config wants; every procedural one is.
     """
 
     def __init__(
         self,
-        dataset: Sequence[TrainingScene],
+        entries: Sequence[TrainingEntry],
         config: TrainConfig,
-        network: ModelConfig,
-        indices: list[int],
+        settings: SceneSettings,
+        hands: frozenset[str] = frozenset(),
     ) -> None:
-        self._dataset = dataset
-        self._config = config
-        self._network = network
-        self._records: dict[int, TrainingScene] = {}
-        self.indices = indices
+        self.entries = list(entries)
+        self._config, self._settings = config, settings
+        wanted = set(config.grippers)
+        pools: dict[str, list[int]] = {}
+        for place, entry in enumerate(self.entries):
+            # Bins in which nothing can be grasped are what the heads have to know, too.
+            names = list(entry.tables) if config.heads_only else entry.positives()
+            for name in names:
+                if name in wanted or is_procedural(name):
+                    pools.setdefault(name, []).append(place)
+        self.pools = {name: np.array(pools[name]) for name in sorted(pools)}
+        self.grippers = list(self.pools)
+        self._shares = gripper_shares(self.grippers, config, hands)
 
-    def __len__(self) -> int:
-        return len(self.indices)
+    def draw(self, rng: np.random.Generator, *, confidence: bool = True) -> SceneBatch:
+        """A random scene of a random gripper, with further grippers of the scene.
 
-    def record(self, index: int) -> TrainingScene:
-        """A scene, kept in memory after its first use."""
-        if index not in self._records:
-            self._records[index] = self._dataset[index]
-        return self._records[index]
-
-    def draw(self, rng: np.random.Generator) -> SceneBatch:
-        """A random scene that holds a positive of at least one gripper; for the heads alone, any
-        label will do: bins in which nothing can be grasped are what they have to know.
+        Args:
+            rng: decides everything.
+            confidence: take labelled poses for the confidence.
         """
-        while True:
-            record = self.record(int(rng.choice(self.indices)))
-            batch = self.batch(record, rng)
-            enough = batch.positives
-            if self._config.train_only == "heads":
-                enough = [part for part in batch.labelled.values() if len(part.label)]
-            if enough:
-                return batch
-
-    def batch(
-        self, record: TrainingScene, rng: np.random.Generator, *, augment: bool = True
-    ) -> SceneBatch:
-        """Nodes, graph and poses of one scene."""
         config = self._config
-        nodes = record_nodes(
-            record,
-            seed=int(rng.integers(1, 2**31)) if augment else 0,
-            jitter=config.point_jitter if augment else 0.0,
-            drop_gravity=augment and rng.random() < config.gravity_dropout,
+        gripper = self.grippers[int(rng.choice(len(self.grippers), p=self._shares))]
+        entry = self.entries[int(rng.choice(self.pools[gripper]))]
+        others = [name for name in entry.tables if name in self.pools and name != gripper]
+        others = [others[i] for i in rng.permutation(len(others))[: config.grippers_per_scene - 1]]
+        nodes, graph = entry.nodes(
+            self._settings, config.network, 1 + int(rng.integers(config.node_sets))
         )
-        positives: dict[str, LabelledPoses] = {}
-        labelled: dict[str, LabelledPoses] = {}
-        centres: dict[str, Tensor] = {}
-        for gripper in config.grippers:
-            labels = record.labels.get(gripper)
-            if labels is None or not len(labels):
-                continue
-            good = np.flatnonzero(labels.label == 1)
-            bad = np.flatnonzero(labels.label == 0)
+        nodes = varied(
+            nodes,
+            rng,
+            jitter=config.point_jitter,
+            drop_gravity=rng.random() < config.gravity_dropout,
+        )
+        tables = {name: entry.tables[name] for name in (gripper, *others)}
+        return scene_batch(nodes, graph, tables, config, rng, confidence=confidence)
 
-            def poses(chosen: np.ndarray, labels=labels) -> LabelledPoses:
-                seven = torch.as_tensor(labels.world_from_tcp[chosen], dtype=torch.float64)
-                matrix = se3.from_pose7(seven)
-                centre = torch.as_tensor(nodes.centroid)
-                return LabelledPoses(
-                    matrix[:, :3, :3].float(),
-                    (matrix[:, :3, 3] - centre).float(),
-                    torch.as_tensor(labels.label[chosen], dtype=torch.float32),
-                )
 
-            if len(good):
-                weights = balance(labels.object[good]) if config.object_balanced else None
-                positives[gripper] = poses(
-                    rng.choice(good, config.poses_per_gripper, replace=True, p=weights)
-                )
-            centres[gripper] = poses(good).translation
-            half = config.confidence_poses // 2
-            chosen = [
-                rng.choice(part, min(half, len(part)), replace=False) for part in (good, bad)
-            ]
-            labelled[gripper] = poses(np.concatenate(chosen).astype(int))
-        return SceneBatch(
-            nodes, build_graph(nodes.points, self._network), positives, labelled, centres
+def gripper_shares(
+    names: Sequence[str], config: TrainConfig, hands: frozenset[str] = frozenset()
+) -> NDArray[np.float64]:
+    """Share of the scenes that is drawn for each gripper: procedural ones have
+    `procedural_share` together, hands `hand_weight` times that of the others.
+    """
+    procedural = np.array([is_procedural(name) for name in names], bool)
+    weight = np.array([config.hand_weight if name in hands else 1.0 for name in names])
+    if procedural.any() and not procedural.all():
+        for part, share in ((procedural, config.procedural_share), (~procedural, None)):
+            total = 1.0 - config.procedural_share if share is None else share
+            weight[part] *= total / weight[part].sum()
+    return weight / weight.sum()
+
+
+def varied(
+    nodes: SceneNodes, rng: np.random.Generator, *, jitter: float, drop_gravity: bool
+) -> SceneNodes:
+    """Nodes with noise of a standard deviation (m) on all points, and gravity unknown."""
+
+    def moved(points: NDArray[np.float32]) -> NDArray[np.float32]:
+        noise = rng.standard_normal(points.shape, np.float32)
+        return (points + jitter * noise).astype(np.float32, copy=False)
+
+    if drop_gravity:
+        nodes = dataclasses.replace(nodes, gravity=np.zeros(3, np.float32))
+    if jitter:
+        surface = nodes.surface
+        if surface is not None:
+            surface = dataclasses.replace(surface, points=moved(surface.points))
+        nodes = dataclasses.replace(nodes, points=moved(nodes.points), surface=surface)
+    return nodes
+
+
+def scene_batch(
+    nodes: SceneNodes,
+    graph: SceneGraph,
+    tables: Mapping[str, PoseTable],
+    config: TrainConfig,
+    rng: np.random.Generator,
+    *,
+    poses_per_gripper: int | None = None,
+    confidence: bool = True,
+) -> SceneBatch:
+    """Poses of a scene: the noisy ones shared evenly by the grippers that hold anything in it.
+
+    Args:
+        nodes: of the scene.
+        graph: of the nodes.
+        tables: gripper -> labelled poses.
+        config: amounts.
+        rng: which poses.
+        poses_per_gripper: instead of the config's poses per scene.
+        confidence: take labelled poses for the confidence.
+    """
+
+    def poses(table: PoseTable, chosen: NDArray[np.intp]) -> LabelledPoses:
+        part = table.part(chosen)
+        return LabelledPoses(
+            torch.from_numpy(part.rotation),
+            torch.from_numpy((part.translation - nodes.centroid).astype(np.float32)),
+            torch.from_numpy(part.target),
         )
 
+    holding = [name for name, table in tables.items() if table.good.any()]
+    counts = dict(
+        zip(holding, _even(config.poses_per_scene, len(holding)), strict=True)
+        if poses_per_gripper is None
+        else ((name, poses_per_gripper) for name in holding)
+    )
+    halves = dict(zip(tables, _even(config.confidence_poses, len(tables)), strict=True))
+    positives: dict[str, LabelledPoses] = {}
+    labelled: dict[str, LabelledPoses] = {}
+    for name, table in tables.items():
+        good, bad = np.flatnonzero(table.good), np.flatnonzero(~table.good)
+        if len(good) and not config.heads_only:
+            weights = balance(table.owner[good]) if config.object_balanced else None
+            positives[name] = poses(table, rng.choice(good, counts[name], p=weights))
+        if confidence and config.confidence_weight:
+            half = halves[name] // 2
+            chosen = [rng.permutation(part)[:half] for part in (good, bad)]
+            labelled[name] = poses(table, np.concatenate(chosen))
+    return SceneBatch(
+        nodes,
+        graph,
+        positives,
+        {name: part for name, part in labelled.items() if len(part)},
+        {
+            name: poses(table, np.flatnonzero(table.good)).translation
+            for name, table in tables.items()
+        },
+        {name: poses(table, np.arange(len(table))).translation for name, table in tables.items()},
+    )
 
-def balance(owner: np.ndarray) -> np.ndarray:
+
+def _even(total: int, parts: int) -> list[int]:
+    """A total in whole parts that differ by one at most."""
+    return [total // parts + (place < total % parts) for place in range(parts)]
+
+
+def balance(owner: NDArray[np.integer]) -> NDArray[np.float64]:
     """Probabilities that give every object the same share (the paper's biased sampling)."""
     _, inverse, counts = np.unique(owner, return_inverse=True, return_counts=True)
     weights = 1.0 / counts[inverse]

@@ -1,12 +1,18 @@
-"""Checkpoints that resume, on this or another device: safetensors and JSON, no pickle."""
+"""Checkpoints that resume, on this or another device: safetensors and JSON, no pickle.
+
+Small enough to be committed, seven bytes a parameter: beside the weights (float32) eight bits each
+for the distance of the averaged weights from them and for the moments of the optimiser, the second
+as roots. The largest number of a tensor sets the scale; what is rounded off is soon forgotten.
+Draws depend on the seed and the step alone, so that no state of random generators is kept.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
@@ -19,79 +25,146 @@ from .config import Counters, TrainConfig
 TENSORS = "checkpoint.safetensors"
 STATE = "checkpoint.json"
 
+_FINE, _WIDE = torch.float8_e4m3fn, torch.float8_e5m2
+"""Eight bits with more digits, and with more range: roots of second moments span nine decades."""
+
+
+class _Packing:
+    """Tensors in eight bits by name, and the scale of each."""
+
+    def __init__(self) -> None:
+        self.tensors: dict[str, Tensor] = {}
+        self.scales: dict[str, float] = {}
+
+    def add(self, name: str, value: Tensor, kind: torch.dtype) -> None:
+        scale = max(float(value.abs().max()), 1e-30) / torch.finfo(kind).max
+        self.tensors[name] = (value / scale).to(kind)
+        self.scales[name] = scale
+
+
+@dataclasses.dataclass(frozen=True)
+class CheckpointState:
+    """What a checkpoint keeps beside tensors.
+
+    Attributes:
+        config: of the run.
+        counters: what the model has seen.
+        validation: scene and gripper of each validation pair, so that growing data does not change
+            what validates.
+        facts: further entries of the model's `config.json`.
+    """
+
+    config: TrainConfig
+    counters: Counters
+    validation: tuple[tuple[str, str], ...] = ()
+    facts: dict[str, Any] = dataclasses.field(default_factory=dict)
+
 
 def save_checkpoint(
     folder: Path,
     model: GraspModel,
     ema: dict[str, Tensor],
     optimiser: torch.optim.AdamW,
-    config: TrainConfig,
-    counters: Counters,
-    rng: np.random.Generator,
-    generator: torch.Generator,
+    state: CheckpointState,
 ) -> None:
     """Write everything that a run needs to go on; a killed write leaves the former checkpoint."""
     folder.mkdir(parents=True, exist_ok=True)
-    tensors = {f"model.{k}": v for k, v in model.state_dict().items()}
-    tensors.update({f"ema.{k}": v for k, v in ema.items()})
-    names = {id(p): name for name, p in model.named_parameters()}
+    weights = model.state_dict()
+    packing = _Packing()
+    for name, average in ema.items():
+        packing.add(f"ema.{name}", average - weights[name], _FINE)
     steps: dict[str, int] = {}
-    for parameter, state in optimiser.state.items():
-        name = names[id(parameter)]
-        # Half the size of the weights; the second moment needs float's range, not its precision.
-        tensors[f"first.{name}"] = state["exp_avg"].to(torch.bfloat16)
-        tensors[f"second.{name}"] = state["exp_avg_sq"].to(torch.bfloat16)
-        steps[name] = int(state["step"])
-    tensors["generator"] = generator.get_state()
+    for name, parameter in model.named_parameters():
+        moments = optimiser.state.get(parameter)
+        if moments:
+            packing.add(f"first.{name}", moments["exp_avg"], _FINE)
+            packing.add(f"second.{name}", moments["exp_avg_sq"].sqrt(), _WIDE)
+            steps[name] = int(moments["step"])
     content = {
-        "config": config.to_dict(),
-        "counters": dataclasses.asdict(counters),
+        "config": state.config.to_dict(),
+        "counters": dataclasses.asdict(state.counters),
+        "validation": state.validation,
+        "facts": state.facts,
         "optimiser_steps": steps,
-        "rng": rng.bit_generator.state,
-        "generator_device": str(generator.device),
+        "scales": packing.scales,
     }
+    tensors = {f"model.{k}": v for k, v in weights.items()} | packing.tensors
+    # All of it goes into the one file, so that a kill cannot leave two that do not fit; the JSON
+    # beside it is for people.
     partial = folder / f".{TENSORS}.part"
-    save_file({k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}, partial)
+    save_file(
+        {k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()},
+        partial,
+        {"content": json.dumps(content)},
+    )
     partial.replace(folder / TENSORS)
-    (folder / STATE).write_text(json.dumps(content, indent=1) + "\n")
+    shown = {k: v for k, v in content.items() if k not in ("optimiser_steps", "scales")}
+    (folder / STATE).write_text(json.dumps(shown, indent=1) + "\n")
+
+
+def read_state(folder: Path) -> CheckpointState:
+    """What a checkpoint says of its run.
+
+    Raises:
+        DataError: no checkpoint, a damaged one, or one of another version.
+    """
+    return _state(_content(folder))
 
 
 def load_checkpoint(
-    folder: Path,
-    model: GraspModel,
-    ema: dict[str, Tensor],
-    optimiser: torch.optim.AdamW,
-    rng: np.random.Generator,
-    generator: torch.Generator,
-) -> tuple[TrainConfig, Counters]:
+    folder: Path, model: GraspModel, ema: dict[str, Tensor], optimiser: torch.optim.AdamW
+) -> CheckpointState:
     """Fill model, averages and optimiser from a checkpoint.
-
-    On another kind of device the torch generator starts anew from its seed; all else is the same.
 
     Raises:
         DataError: no checkpoint, a damaged one, or one of another network.
     """
+    content = _content(folder)
     try:
-        content = json.loads((folder / STATE).read_text())
         tensors = load_file(folder / TENSORS)
+        scales = content["scales"]
+
+        def unpacked(name: str) -> Tensor:
+            return tensors[name].float() * scales[name]
+
         weights = {k[6:]: v for k, v in tensors.items() if k.startswith("model.")}
         model.load_state_dict(weights)
-    except (OSError, json.JSONDecodeError, SafetensorError, RuntimeError) as error:
-        raise DataError(
-            f"checkpoint in {folder} cannot be resumed ({error}); expected {TENSORS} and {STATE} "
-            "of the "
-            "same network. Start a new run in another --out, or give the former --preset."
-        ) from error
-    for name in ema:
-        ema[name].copy_(tensors[f"ema.{name}"])
-    for name, parameter in model.named_parameters():
-        if f"first.{name}" in tensors:
-            optimiser.state[parameter] = {
-                "step": torch.tensor(float(content["optimiser_steps"][name])),
-                "exp_avg": tensors[f"first.{name}"].to(parameter),
-                "exp_avg_sq": tensors[f"second.{name}"].to(parameter),
-            }
-    rng.bit_generator.state = content["rng"]
-    if content["generator_device"] == str(generator.device):
-        generator.set_state(tensors["generator"])
-    return TrainConfig.from_dict(content["config"]), Counters(**content["counters"])
+        for name, average in ema.items():
+            average.copy_(weights[name] + unpacked(f"ema.{name}"))
+        for name, parameter in model.named_parameters():
+            if f"second.{name}" in tensors:
+                optimiser.state[parameter] = {
+                    "step": torch.tensor(float(content["optimiser_steps"][name])),
+                    "exp_avg": unpacked(f"first.{name}").to(parameter),
+                    "exp_avg_sq": unpacked(f"second.{name}").square().to(parameter),
+                }
+    except (OSError, SafetensorError, RuntimeError, KeyError) as error:
+        raise _unusable(folder, error) from error
+    return _state(content)
+
+
+def _content(folder: Path) -> dict[str, Any]:
+    """The JSON of a checkpoint, as written into the tensors' file."""
+    from safetensors import safe_open
+
+    try:
+        with safe_open(folder / TENSORS, framework="pt") as file:
+            return json.loads((file.metadata() or {})["content"])
+    except (OSError, SafetensorError, KeyError, json.JSONDecodeError) as error:
+        raise _unusable(folder, error) from error
+
+
+def _state(content: dict[str, Any]) -> CheckpointState:
+    return CheckpointState(
+        TrainConfig.from_dict(content["config"]),
+        Counters(**content["counters"]),
+        tuple((scene, gripper) for scene, gripper in content["validation"]),
+        content["facts"],
+    )
+
+
+def _unusable(folder: Path, error: Exception) -> DataError:
+    return DataError(
+        f"checkpoint in {folder} cannot be resumed ({error}); expected {TENSORS} written by this "
+        "version for the same network. Start a new run in another --out."
+    )

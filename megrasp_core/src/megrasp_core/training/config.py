@@ -5,66 +5,120 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, Literal
 
-from ..errors import InvalidRequestError
+from ..diffusion import SamplerSettings
+from ..errors import DataError, InvalidRequestError
 from ..network import PRESETS, ModelConfig
+
+GRIPPERS = (
+    "robotiq_2f85",
+    "franka_hand",
+    "google_gripper",
+    "rethink_gripper",
+    "vx300s_gripper",
+    "robotiq_3f",
+    "allegro_hand",
+    "shadow_dexee",
+    "shadow_hand",
+    "shadow_hand_3f",
+    "shadow_hand_2f",
+)
+"""The grippers that models are trained for; the others are never seen in training."""
 
 
 @dataclasses.dataclass(frozen=True)
 class TrainConfig:
-    """What a training run does; stored in its checkpoint."""
+    """What a training run does; stored in its checkpoint, from which alone it goes on."""
 
-    preset: str = "small"
-    """Size of the network: tiny, small or base."""
+    network: ModelConfig = PRESETS["small"]
+    """Sizes of the network."""
     model_id: str = "megrasp-small"
-    grippers: tuple[str, ...] = ("robotiq_2f85", "franka_hand", "robotiq_3f")
-    scenes_per_step: int = 1
-    poses_per_gripper: int = 128
-    """Noisy poses per gripper, scene and step."""
+    """Name of the model that comes out."""
+    grippers: tuple[str, ...] = GRIPPERS
+    """Names of the grippers to learn."""
+    procedural_share: float = 0.25
+    """Share of the scenes that are drawn for a procedural gripper, where the data holds any."""
+    hand_weight: float = 1.5
+    """How often a scene is drawn for a hand for every time that one is for another gripper."""
+    total_poses: int = 3_000_000
+    """Noisy poses of the whole plan, however many stretches it takes; in training of the heads,
+    labelled poses. The learning rate follows this count."""
+    scenes_per_step: int = 2
+    """Scenes whose gradients are averaged in a step."""
+    poses_per_scene: int = 256
+    """Noisy poses per scene and step, shared evenly by its grippers."""
+    grippers_per_scene: int = 4
+    """At most so many grippers of a scene are taken in a step."""
     learning_rate: float = 1e-3
+    """Highest learning rate."""
     weight_decay: float = 1e-3
-    warmup_steps: int = 100
-    decay_share: float = 0.35
-    """Last share of the run in which the learning rate falls to 2 %."""
-    ema_decay: float = 0.999
+    """Of AdamW."""
+    warmup_steps: int = 500
+    """Steps in which the learning rate rises from 0."""
+    constant_share: float = 0.4
+    """Share of the plan after which the learning rate falls, linearly, to 0."""
+    ema_decay: float = 0.9995
+    """Decay a step of the averaged weights, which are the model that comes out."""
     gradient_clip: float = 1.0
-    total_poses: int | None = None
-    """End after this many noisy poses."""
-    total_seconds: float | None = 3600.0
-    """Or after this much training time, resumed runs included."""
+    """Longest gradient."""
     gravity_dropout: float = 0.1
+    """Share of the scenes whose gravity is left unknown."""
     point_jitter: float = 0.0005
-    """Standard deviation (m) of noise added to the nodes."""
+    """Standard deviation (m) of noise added to the points."""
+    node_sets: int = 4
+    """Random choices of nodes, with their graphs, that are made and kept of a scene."""
+    low_levels: float | None = None
+    """Share of the noise levels below `LOW_LEVEL`; by default what log-uniform levels give."""
+    nearest_copy: bool = False
+    """For n-fold grippers the target is the symmetric copy nearest to the noisy pose, not the mean
+    of all."""
     score_weight: float = 0.1
+    """Weight of the rotation score's loss."""
     graspability_weight: float = 0.1
+    """Weight of the graspability's loss."""
     graspability_radius: float = 0.02
     """A node within this distance (m) of a positive's TCP counts as graspable."""
+    tried_radius: float = 0.03
+    """A node farther (m) than this from every label's TCP is on an object that nobody tried: it
+    counts neither as graspable nor as not, unless it lies on the support plane."""
     confidence_weight: float = 0.1
-    confidence_poses: int = 32
-    """Labelled poses per gripper, scene and step, half of them failures where there are enough."""
+    """Weight of the confidence's loss."""
+    confidence_every: int = 2
+    """The confidence is trained in every so many steps."""
+    confidence_poses: int = 96
+    """Labelled poses per scene and step, half of them failures where there are enough."""
     object_balanced: bool = True
-    validation_scenes: int = 16
-    checkpoint_seconds: float = 180.0
-    low_precision: bool = True
-    """bfloat16 in the token part."""
+    """Objects of a scene have equal shares in its poses."""
+    validation_pairs: int = 6
+    """Scenes per gripper that validate."""
+    validation_poses: int = 48
+    """Noisy poses per gripper and scene in validation."""
+    checkpoint_seconds: float = 600.0
+    """Time between checkpoints."""
+    sampler: SamplerSettings = dataclasses.field(default_factory=SamplerSettings)
+    """How the model is meant to be sampled, written into its `config.json`."""
     train_only: Literal["all", "heads"] = "all"
     """`heads`: only confidence and graspability; the diffusion stays as it is."""
     seed: int = 1
+    """Of weights, scenes, poses and noise."""
 
     def __post_init__(self) -> None:
-        if self.preset not in PRESETS:
+        counts = ("total_poses", "scenes_per_step", "poses_per_scene", "grippers_per_scene",
+                  "node_sets", "confidence_every")  # fmt: skip
+        wrong = [f"{name} {getattr(self, name)}" for name in counts if getattr(self, name) < 1]
+        shares = {"procedural_share": self.procedural_share, "constant_share": self.constant_share}
+        if self.low_levels is not None:
+            shares["low_levels"] = self.low_levels
+        wrong += [f"{name} {value}" for name, value in shares.items() if not 0.0 <= value < 1.0]
+        if wrong:
             raise InvalidRequestError(
-                f"network preset {self.preset!r} is unknown; expected one of {sorted(PRESETS)}."
-            )
-        if self.total_poses is None and self.total_seconds is None:
-            raise InvalidRequestError(
-                "neither total_poses nor total_seconds was given; expected at least one end of "
-                "the run."
+                f"{', '.join(wrong)} was given; expected counts of at least 1 and shares from 0 "
+                "to below 1."
             )
 
     @property
-    def network(self) -> ModelConfig:
-        """Sizes of the network."""
-        return PRESETS[self.preset]
+    def heads_only(self) -> bool:
+        """Whether the diffusion stays as it is."""
+        return self.train_only == "heads"
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -72,11 +126,26 @@ class TrainConfig:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> TrainConfig:
-        """Inverse of `to_dict`."""
-        lists: dict[str, Any] = {
-            k: tuple(v) if isinstance(v, list) else v for k, v in values.items()
+        """Inverse of `to_dict`.
+
+        Raises:
+            DataError: fields that this version does not know.
+        """
+        names = {field.name for field in dataclasses.fields(cls)}
+        unknown = sorted(set(values) - names)
+        if unknown:
+            raise DataError(
+                f"the training config has unknown fields {unknown}; expected some of "
+                f"{sorted(names)}. It was written by another version: go on with that one, or "
+                "start a new run."
+            )
+        plain: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in values.items()
         }
-        return cls(**lists)
+        plain["network"] = ModelConfig.from_dict(plain["network"])
+        plain["sampler"] = SamplerSettings(**plain["sampler"])
+        return cls(**plain)
 
 
 @dataclasses.dataclass
@@ -84,6 +153,7 @@ class Counters:
     """Honest counts of what a model has seen, kept across resumes."""
 
     steps: int = 0
+    """Optimiser steps."""
     poses: int = 0
     """Noisy poses that went into the diffusion loss."""
     labelled_poses: int = 0
@@ -93,12 +163,20 @@ class Counters:
     seconds: float = 0.0
     """Wall time of training steps."""
     cpu_seconds: float = 0.0
+    """CPU time of training steps, all processes together."""
+    stretches: int = 0
+    """How often the run was started or resumed."""
 
     def progress(self, config: TrainConfig) -> float:
-        """Share of the run that is done, 0 to 1."""
-        shares = []
-        if config.total_poses is not None:
-            shares.append(self.poses / config.total_poses)
-        if config.total_seconds is not None:
-            shares.append(self.seconds / config.total_seconds)
-        return min(1.0, max(shares))
+        """Share of the plan that is done, 0 to 1."""
+        done = self.labelled_poses if config.heads_only else self.poses
+        return min(1.0, done / config.total_poses)
+
+
+def rate_factor(counters: Counters, config: TrainConfig) -> float:
+    """Learning rate as a share of the highest: warm-up, constant, linear to 0; by what was seen
+    and not by the clock, so that a busy machine trains the same model.
+    """
+    warm = min(1.0, (counters.steps + 1) / max(1, config.warmup_steps))
+    left = (1.0 - counters.progress(config)) / (1.0 - config.constant_share)
+    return warm * min(1.0, left)

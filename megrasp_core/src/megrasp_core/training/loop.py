@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
+import multiprocessing
+import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,250 +14,408 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..datasets import open_scenes
+from ..datasets.stopping import StopSignals, deaf_to_ctrl_c
 from ..diffusion import NoiseSchedule
-from ..errors import DataError
-from ..grippers import GripperTokens, load_gripper
-from ..network import GraspModel, save_model
+from ..errors import DataError, InvalidRequestError
+from ..grippers.family import is_procedural
+from ..network import GraspModel, low_precision_pays, save_model
 from ..pointcloud import SceneSettings
-from . import checkpoint
 from .batching import SceneSource
-from .config import Counters, TrainConfig
+from .checkpoint import CheckpointState, load_checkpoint, read_state, save_checkpoint
+from .config import Counters, TrainConfig, rate_factor
 from .curves import plot_curves
 from .losses import scene_losses
+from .processes import Team, free_port
+from .rack import GripperRack
+from .scenes import TrainingEntry, divided, read_entries, without_objects
+from .validation import validate, validation_pairs
 
-Progress = Callable[[Counters, dict[str, float]], None]
+Progress = Callable[["TrainingRun", dict[str, float]], None]
 
 
-def train(
-    data: str | Path | list[str | Path],
-    out: str | Path,
-    config: TrainConfig,
-    *,
-    resume: bool = False,
-    start_from: GraspModel | None = None,
-    device: str = "cpu",
-    on_progress: Progress | None = None,
-) -> GraspModel:
-    """Train, or go on training, a model.
+@dataclasses.dataclass(frozen=True)
+class TrainingJob:
+    """Where a run reads and writes, and on what it runs; nothing of it changes what is learnt.
 
-    Args:
+    Attributes:
         data: folders of scene data sets, or device packs; one that still grows is read again at
             checkpoints.
         out: folder for the checkpoint, `losses.jsonl`, `losses.png` and the averaged model.
-        config: hyper-parameters; when resuming, the ends of the run are taken from it, all else
-        from the
-            checkpoint.
-        resume: go on from the checkpoint in `out`.
-        start_from: weights to begin with (fine-tuning, training of the heads).
+        validation: data sets of objects that training never sees; without, a tenth of the objects
+            of `data` is held out.
         device: where to train.
-        on_progress: called after every step with the counters and the losses of the step.
+        processes: that share a step's scenes, one thread each; on a CPU only.
+        seconds: of this stretch, after which the run is saved and left; None: to the end of the
+            plan.
+    """
+
+    data: tuple[Path, ...]
+    out: Path
+    validation: tuple[Path, ...] = ()
+    device: str = "cpu"
+    processes: int = 1
+    seconds: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.processes < 1 or (self.processes > 1 and self.device != "cpu"):
+            raise InvalidRequestError(
+                f"{self.processes} processes on {self.device} were asked for; expected at least "
+                "one, and several only on cpu."
+            )
+
+
+def train(
+    job: TrainingJob,
+    config: TrainConfig,
+    *,
+    start_from: GraspModel | None = None,
+    on_progress: Progress | None = None,
+) -> GraspModel:
+    """Begin a run and train until the plan or the stretch is over, or SIGTERM or Ctrl-C comes.
+
+    Args:
+        job: where.
+        config: what is learnt, and how.
+        start_from: weights to begin with (fine-tuning, training of the heads).
+        on_progress: called after every step with the run and the losses of the step.
 
     Returns:
         The model with averaged weights.
 
     Raises:
-        DataError: no scenes, or no checkpoint to resume.
+        DataError: no scenes.
     """
-    run = _Run(Path(out), config, device, start_from)
+    return _run(job, config, start_from, False, on_progress)
+
+
+def resume_training(
+    job: TrainingJob,
+    *,
+    total_poses: int | None = None,
+    on_progress: Progress | None = None,
+) -> GraspModel:
+    """Go on with the run whose checkpoint lies in `job.out`, with the config it was begun with.
+
+    Args:
+        job: where.
+        total_poses: another length of the plan.
+        on_progress: called after every step with the run and the losses of the step.
+
+    Raises:
+        DataError: no checkpoint to resume, or no scenes.
+    """
+    config = read_state(job.out).config
+    if total_poses is not None:
+        config = dataclasses.replace(config, total_poses=total_poses)
+    return _run(job, config, None, True, on_progress)
+
+
+def _run(
+    job: TrainingJob,
+    config: TrainConfig,
+    start_from: GraspModel | None,
+    resume: bool,
+    on_progress: Progress | None,
+) -> GraspModel:
+    followers, team = [], Team()
+    if job.processes > 1:
+        port = free_port()
+        context = multiprocessing.get_context("spawn")
+        with deaf_to_ctrl_c():
+            for rank in range(1, job.processes):
+                arguments = (rank, port, job, config, start_from, resume)
+                followers.append(context.Process(target=_follow, args=arguments, daemon=True))
+                followers[-1].start()
+        team = Team.joined(0, job.processes, port)
+    torch.set_flush_denormal(True)
+    try:
+        run = TrainingRun(job, config, team, start_from)
+        if resume:
+            run.resume()
+        run.read()
+        with StopSignals() as signals:
+            ended = False
+            try:
+                # The first signal ends the stretch after the step at work, a second one at once.
+                with signals.held_back():
+                    run.go_on(lambda: bool(signals.received), on_progress)
+                    run.save()
+                    ended = True
+            except KeyboardInterrupt:
+                if not ended:
+                    raise
+        return run.averaged()
+    finally:
+        torch.set_flush_denormal(False)
+        team.leave()
+        for follower in followers:
+            follower.join(timeout=10.0)
+            follower.terminate()
+
+
+def _follow(
+    rank: int,
+    port: int,
+    job: TrainingJob,
+    config: TrainConfig,
+    start_from: GraspModel | None,
+    resume: bool,
+) -> None:
+    """What the other processes do."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    torch.set_num_threads(1)
+    torch.set_flush_denormal(True)
+    team = Team.joined(rank, job.processes, port)
+    run = TrainingRun(job, config, team, start_from)
     if resume:
-        run.resume(config)
-    run.read(data)
-    last_save = time.monotonic()
-    while run.counters.progress(run.config) < 1.0:
-        losses = run.step()
-        if on_progress is not None:
-            on_progress(run.counters, losses)
-        if time.monotonic() - last_save > run.config.checkpoint_seconds:
-            run.save()
-            run.read(data)
-            last_save = time.monotonic()
-    run.save()
-    return run.averaged()
+        run.resume()
+    run.read()
+    run.go_on(lambda: False, None)
+    team.leave()
 
 
-class _Run:
-    """State of one training run."""
+class TrainingRun:
+    """State of one training run in one process."""
 
     def __init__(
-        self, out: Path, config: TrainConfig, device: str, start_from: GraspModel | None
+        self,
+        job: TrainingJob,
+        config: TrainConfig,
+        team: Team | None = None,
+        start_from: GraspModel | None = None,
     ) -> None:
-        self.out, self.config, self.device = out, config, device
+        self.job, self.config, self.team = job, config, team or Team()
         torch.manual_seed(config.seed)
         self.model = GraspModel(config.network, model_id=config.model_id)
-        self.before: dict[str, Any] = {}
+        self.facts: dict[str, Any] = {}
         if start_from is not None:
             self.model.load_state_dict(start_from.state_dict())
-            self.before = start_from.info
-        self.model.to(device).low_precision = config.low_precision
-        if config.train_only == "heads":
+            kept = ("model_id", "counters", "training", "data_scenes", "sha256", "heads")
+            before = {name: start_from.info[name] for name in kept if name in start_from.info}
+            self.facts = {"started_from": before}
+        self.model.to(job.device).low_precision = low_precision_pays(job.device)
+        if config.heads_only:
             for name, parameter in self.model.named_parameters():
                 parameter.requires_grad_(name.startswith(("confidence", "graspability")))
         self.ema = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
+        self.trained = [p for p in self.model.parameters() if p.requires_grad]
         self.optimiser = torch.optim.AdamW(
-            [p for p in self.model.parameters() if p.requires_grad],
+            self.trained,
             lr=config.learning_rate,
             weight_decay=config.weight_decay,
             betas=(0.9, 0.99),
+            fused=True,
         )
-        self.rng = np.random.default_rng(config.seed)
-        self.generator = torch.Generator(device).manual_seed(config.seed)
         self.counters = Counters()
         self.schedule = NoiseSchedule(
             sigma_t=config.network.sigma_t,
             sigma_r=config.network.sigma_r,
             s_min=config.network.s_min,
         )
-        grippers = {name: load_gripper(name) for name in config.grippers}
-        self.hashes = {name: gripper.hash for name, gripper in grippers.items()}
-        self._tokens: dict[str, list[GripperTokens]] = {
-            name: [gripper.tokens(config.network.gripper_tokens, seed=seed) for seed in range(8)]
-            for name, gripper in grippers.items()
-        }
-        self.source: SceneSource | None = None
-        self.validation: SceneSource | None = None
-        self.scenes = -1
+        self.settings = SceneSettings()
+        self.rack = GripperRack(config.network.gripper_tokens)
+        self.hashes = {name: self.rack.gripper(name).hash for name in config.grippers}
         self.averages: dict[str, float] = {}
+        self.pairs: tuple[tuple[str, str], ...] = ()
+        self.validation: dict[str, TrainingEntry] = {}
+        self._entries: dict[str, TrainingEntry] = {}
+        self._held_out: dict[str, TrainingEntry] = {}
+        self._source: SceneSource | None = None
 
-    def read(self, data: str | Path | list[str | Path]) -> None:
-        """(Re)read the data set: a tenth of the scenes, by their place in the list, validates."""
-        dataset = open_scenes(data)
-        if len(dataset) == self.scenes:
+    @property
+    def source(self) -> SceneSource:
+        """What is drawn from."""
+        if self._source is None:
+            self.read()
+        assert self._source is not None
+        return self._source
+
+    @property
+    def scenes(self) -> int:
+        """How many scenes the data holds."""
+        return len(self._entries)
+
+    def resume(self) -> None:
+        """Go on from the checkpoint; how much is planned may have changed."""
+        state = load_checkpoint(self.job.out, self.model, self.ema, self.optimiser)
+        self.counters, self.pairs, self.facts = state.counters, state.validation, state.facts
+
+    def read(self) -> None:
+        """Read the data, or what has come to it since.
+
+        Raises:
+            DataError: fewer than two scenes with anything to learn, or nothing that validates.
+        """
+        job = self.job
+        entries = read_entries(job.data, self._entries)
+        # All processes must see the same scenes, however fast the data grows.
+        names = self.team.told(list(entries))
+        if self._source is not None and names == list(self._entries):
             return
-        if len(dataset) < 2:
+        self._entries = {name: entries[name] for name in names if name in entries}
+        if job.validation:
+            if not self._held_out:
+                self._held_out = read_entries(job.validation)
+            division = without_objects(self._entries.values(), self._held_out.values())
+        else:
+            division = divided(self._entries.values())
+        grippers = {name for entry in division.train for name in entry.tables}
+        known = set(self.config.grippers)
+        hands = {name for name in grippers & known if self.rack.is_hand(name)}
+        source = SceneSource(division.train, self.config, self.settings, frozenset(hands))
+        if len(self._entries) < 2 or not source.pools:
             raise DataError(
-                f"{data} holds {len(dataset)} scenes; expected at least 2. Make some with "
-                "`megrasp data scenes --out DIR`."
+                f"{', '.join(map(str, job.data))}: {len(self._entries)} scenes, with "
+                f"{'grasps' if source.pools else 'no grasp'} of the grippers "
+                f"{', '.join(self.config.grippers)}; expected at least 2 scenes with grasps. Make "
+                "some with `megrasp data scenes --out DIR`."
             )
-        self.scenes = len(dataset)
-        held_out = [i for i in range(len(dataset)) if i % 20 == 7][: self.config.validation_scenes]
-        used = [i for i in range(len(dataset)) if i not in set(held_out)]
-        self.source = SceneSource(dataset, self.config, self.config.network, used)
-        self.validation = SceneSource(dataset, self.config, self.config.network, held_out)
+        self._source = source
+        self.validation = {entry.name: entry for entry in division.validation}
+        if not self.pairs:
+            self.pairs = validation_pairs(division.validation, self.config)
 
-    def resume(self, config: TrainConfig) -> None:
-        """Go on from the checkpoint; only the ends of the run may change."""
-        stored, self.counters = checkpoint.load_checkpoint(
-            self.out, self.model, self.ema, self.optimiser, self.rng, self.generator
-        )
-        self.config = dataclasses.replace(
-            stored, total_poses=config.total_poses, total_seconds=config.total_seconds
-        )
+    def go_on(self, stopped: Callable[[], bool], on_progress: Progress | None) -> None:
+        """Train until the plan or the stretch is over, or somebody wants to stop."""
+        began = last_save = time.monotonic()
+        self.counters.stretches += 1
+        seconds = self.job.seconds
+        while self.counters.progress(self.config) < 1.0:
+            over = seconds is not None and time.monotonic() - began > seconds
+            losses, stop = self.step(stop=over or stopped())
+            if on_progress is not None:
+                on_progress(self, losses)
+            if stop:
+                return
+            due = time.monotonic() - last_save > self.config.checkpoint_seconds
+            if self.team.told(["save"] if due else []):
+                if self.team.leads:
+                    self.save()
+                self.read()
+                last_save = time.monotonic()
 
-    def step(self) -> dict[str, float]:
-        """One optimiser step."""
-        assert self.source is not None
+    def step(self, *, stop: bool = False) -> tuple[dict[str, float], bool]:
+        """One optimiser step; also says whether any process wants to stop after it.
+
+        The scenes of a step, their poses and their noise depend on seed, step and place in the
+        step alone: neither on how many processes share them nor on when the run was resumed.
+        """
         began, cpu = time.monotonic(), time.process_time()
-        config = self.config
+        config, counters = self.config, self.counters
         self.model.train()
         for group in self.optimiser.param_groups:
-            group["lr"] = config.learning_rate * self._rate()
+            group["lr"] = config.learning_rate * rate_factor(counters, config)
         self.optimiser.zero_grad(set_to_none=True)
-        codes = {
-            name: self.model.encode_gripper(options[int(self.rng.integers(len(options)))])
-            for name, options in self._tokens.items()
-        }
-        total = torch.zeros((), device=self.device)
+        confidence = counters.steps % config.confidence_every == 0 or config.heads_only
         parts: list[dict[str, float]] = []
-        for _ in range(config.scenes_per_step):
-            batch = self.source.draw(self.rng)
-            loss, values = scene_losses(
-                self.model, codes, batch, config, self.schedule, self.generator
+        noisy = labelled = 0
+        for slot in self.team.slots(config.scenes_per_step):
+            rng = np.random.default_rng([config.seed, counters.steps, slot])
+            batch = self.source.draw(rng, confidence=confidence)
+            generator = torch.Generator(self.job.device).manual_seed(int(rng.integers(2**62)))
+            names = batch.grippers
+            codes = self.model.encode_grippers([self.rack.tokens(name, rng) for name in names])
+            losses = scene_losses(
+                self.model,
+                dict(zip(names, codes, strict=True)),
+                batch,
+                config,
+                self.schedule,
+                generator,
+                {name: self.rack.fold(name) for name in names},
             )
-            total = total + loss / config.scenes_per_step
-            parts.append(values)
-            if config.train_only == "all":
-                self.counters.poses += sum(len(p.label) for p in batch.positives.values())
-            self.counters.labelled_poses += sum(len(p.label) for p in batch.labelled.values())
-            self.counters.scenes += 1
-        total.backward()
-        norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.gradient_clip)
+            (losses.total / config.scenes_per_step).backward()
+            parts.append(losses.values)
+            noisy, labelled = noisy + batch.noisy_poses, labelled + batch.labelled_poses
+        used = time.process_time() - cpu
+        numbers = torch.tensor(
+            [noisy, labelled, len(parts), used, float(stop)], dtype=torch.float64
+        )
+        numbers = self.team.add_up(self.trained, numbers)
+        noisy, labelled, scenes, used, stop_votes = numbers.tolist()
+        cpu = time.process_time()
+        norm = torch.nn.utils.clip_grad_norm_(self.trained, config.gradient_clip)
         if torch.isfinite(norm):
             self.optimiser.step()
             self._average()
-        self.counters.steps += 1
-        self.counters.seconds += time.monotonic() - began
-        self.counters.cpu_seconds += time.process_time() - cpu
-        losses = {k: float(np.mean([p[k] for p in parts if k in p])) for k in parts[0]}
-        for name, value in losses.items():
+        counters.steps += 1
+        counters.poses += int(noisy)
+        counters.labelled_poses += int(labelled)
+        counters.scenes += int(scenes)
+        counters.seconds += time.monotonic() - began
+        counters.cpu_seconds += used + (time.process_time() - cpu) * self.team.size
+        found = {name for part in parts for name in part}
+        values = {k: float(np.mean([part[k] for part in parts if k in part])) for k in found}
+        for name, value in values.items():
             self.averages[name] = 0.98 * self.averages.get(name, value) + 0.02 * value
-        return losses
-
-    def _rate(self) -> float:
-        """Learning rate factor: warm-up, constant, linear decay to 2 %."""
-        warm = min(1.0, (self.counters.steps + 1) / self.config.warmup_steps)
-        left = (1.0 - self.counters.progress(self.config)) / self.config.decay_share
-        return warm * max(0.02, min(1.0, left))
+        return values, stop_votes > 0
 
     @torch.no_grad()
     def _average(self) -> None:
-        decay = min(self.config.ema_decay, (1 + self.counters.steps) / (10 + self.counters.steps))
-        for name, value in self.model.state_dict().items():
-            self.ema[name].lerp_(value.to(self.ema[name].dtype), 1.0 - decay)
+        steps = self.counters.steps
+        decay = min(self.config.ema_decay, (1 + steps) / (10 + steps))
+        weights = self.model.state_dict()
+        for name, average in self.ema.items():
+            average.lerp_(weights[name], 1.0 - decay)
 
     def averaged(self) -> GraspModel:
         """A copy of the model with averaged weights."""
         model = GraspModel(self.config.network, model_id=self.config.model_id)
         model.load_state_dict({k: v.cpu() for k, v in self.ema.items()})
-        model.low_precision = self.config.low_precision
-        return model.to(self.device).eval().requires_grad_(False)
+        model.low_precision = self.model.low_precision
+        model.info = {"model_id": self.config.model_id, **self._info()}
+        return model.to(self.job.device).eval().requires_grad_(False)
 
     def save(self) -> None:
         """Checkpoint, averaged model, loss line and curves."""
-        checkpoint.save_checkpoint(
-            self.out, self.model, self.ema, self.optimiser, self.config, self.counters, self.rng,
-            self.generator,
-        )  # fmt: skip
+        out = self.job.out
+        state = CheckpointState(self.config, self.counters, self.pairs, self.facts)
+        save_checkpoint(out, self.model, self.ema, self.optimiser, state)
         model = self.averaged()
-        validation = self._validate(model)
+        result = validate(
+            model,
+            self.validation,
+            self.pairs,
+            {name: self.rack.tokens(name) for _, name in self.pairs},
+            self.config,
+            self.settings,
+            self.schedule,
+            {name: self.rack.fold(name) for _, name in self.pairs},
+        )
         line = {
             **dataclasses.asdict(self.counters),
-            **{f"train_{k}": round(v, 5) for k, v in self.averages.items()},
-            **{f"validation_{k}": round(v, 5) for k, v in validation.items()},
+            **_rounded("train_", self.averages),
+            **_rounded("validation_", result.losses),
+            "per_gripper": _rounded("", result.per_gripper),
+            "per_band": _rounded("", result.per_band),
             "data_scenes": self.scenes,
         }
-        with (self.out / "losses.jsonl").open("a") as file:
+        with (out / "losses.jsonl").open("a") as file:
             file.write(json.dumps(line) + "\n")
-        plot_curves(self.out / "losses.jsonl", self.out / "losses.png")
-        facts = ("model_id", "counters", "training", "data_scenes", "sha256")
-        before = {name: self.before[name] for name in facts if name in self.before}
-        save_model(
-            model,
-            self.out / "model",
-            {
-                **({"started_from": before} if before else {}),
-                "counters": dataclasses.asdict(self.counters),
-                "training": self.config.to_dict(),
-                "trained_grippers": self.hashes,
-                "data_scenes": self.scenes,
-                "heads": self.heads(),
-                "scene": dataclasses.asdict(SceneSettings()),
-                "low_precision": self.config.low_precision,
-            },
-        )
+        plot_curves(out / "losses.jsonl", out / "losses.png")
+        save_model(model, out / "model", model.info)
 
-    def heads(self) -> list[str]:
-        """Heads that were trained and may be used."""
+    def _info(self) -> dict[str, Any]:
+        """What `config.json` of the model says of its training."""
         weights = {
             "confidence": self.config.confidence_weight,
             "graspability": self.config.graspability_weight,
         }
-        trained = {name for name, weight in weights.items() if weight > 0}
-        return sorted(trained | set(self.before.get("heads", ())))
-
-    @torch.no_grad()
-    def _validate(self, model: GraspModel) -> dict[str, float]:
-        """Losses of the averaged model on the held-out scenes, same noise every time."""
-        assert self.validation is not None
-        rng = np.random.default_rng(0)
-        generator = torch.Generator(self.device).manual_seed(0)
-        codes = {name: model.encode_gripper(options[0]) for name, options in self._tokens.items()}
-        found: dict[str, list[float]] = {}
-        for index in self.validation.indices:
-            batch = self.validation.batch(self.validation.record(index), rng, augment=False)
-            _, values = scene_losses(model, codes, batch, self.config, self.schedule, generator)
-            for name, value in values.items():
-                found.setdefault(name, []).append(value)
+        heads = {name for name, weight in weights.items() if weight > 0}
+        before = self.facts.get("started_from", {})
         return {
-            k: float(np.mean(v)) for k, v in found.items() if not math.isnan(float(np.mean(v)))
+            **self.facts,
+            "counters": dataclasses.asdict(self.counters),
+            "training": self.config.to_dict(),
+            "trained_grippers": self.hashes,
+            "procedural_grippers": sum(is_procedural(name) for name in self.source.grippers),
+            "data_scenes": self.scenes,
+            "heads": sorted(heads | set(before.get("heads", ()))),
+            "scene": dataclasses.asdict(self.settings),
+            "sampler": dataclasses.asdict(self.config.sampler),
+            "low_precision": True,
         }
+
+
+def _rounded(prefix: str, values: dict[str, float]) -> dict[str, float]:
+    return {prefix + name: round(value, 5) for name, value in values.items()}

@@ -2,97 +2,212 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
 from ..diffusion import NoiseSchedule, perturb, score_target, target
+from ..lie import so3
 from ..network import GraspModel, GripperCode, SceneField
 from .batching import LabelledPoses, SceneBatch
 from .config import TrainConfig
 
+LOW_LEVEL = 0.1
+"""Below this level of noise a pose is a matter of millimetres."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SceneLosses:
+    """Losses of one scene.
+
+    Attributes:
+        total: weighted sum, to be descended.
+        values: by name, unweighted.
+        level: `(P,)` noise level and
+        residual: `(P,)` squared error, mean over the six components, of each noisy pose, in the
+            order of `owners`.
+        owners: gripper and number of noisy poses.
+    """
+
+    total: Tensor
+    values: dict[str, float]
+    level: Tensor
+    residual: Tensor
+    owners: tuple[tuple[str, int], ...]
+
 
 def draw_levels(
-    count: int, s_min: float, generator: torch.Generator, device: torch.device
+    count: int,
+    s_min: float,
+    generator: torch.Generator,
+    device: torch.device,
+    low_share: float | None = None,
 ) -> Tensor:
-    """Noise levels `(count,)`, log s uniform in [log s_min, 0], stratified."""
+    """Noise levels `(count,)`, stratified: log s uniform in [log s_min, 0], or uniform in both
+    parts with a share of the levels below `LOW_LEVEL`.
+    """
     jitter = torch.rand(count, generator=generator, device=device)
     uniform = (torch.arange(count, device=device) + jitter) / count
-    return torch.exp(math.log(s_min) * uniform)
+    lowest = math.log(s_min)
+    if low_share is None or s_min >= LOW_LEVEL:
+        return torch.exp(lowest * uniform)
+    border, high = math.log(LOW_LEVEL), 1.0 - low_share
+    above = border * uniform / high
+    below = border + (lowest - border) * (uniform - high) / max(low_share, 1e-9)
+    return torch.exp(torch.where(uniform < high, above, below))
 
 
-def diffusion_losses(
-    model: GraspModel,
-    field: SceneField,
-    code: GripperCode,
-    poses: LabelledPoses,
-    schedule: NoiseSchedule,
-    generator: torch.Generator,
-) -> tuple[Tensor, Tensor]:
-    """Mean |F - y|^2 over the residual, and the same for the rotation score (DESIGN section 6)."""
-    rotation, translation = poses.rotation.to(model.device), poses.translation.to(model.device)
-    s = draw_levels(len(rotation), model.config.s_min, generator, model.device)
-    noisy_rotation, noisy_translation = perturb(rotation, translation, s, schedule, generator)
-    y = target(rotation, translation, noisy_rotation, noisy_translation, s, schedule)
-    score = score_target(rotation, noisy_rotation, s, schedule)
-    prediction = model.predict(field, code, noisy_rotation, noisy_translation, s)
-    return (
-        (prediction.residual - y).square().mean(),
-        (prediction.score - score).square().mean(),
-    )
+def nearest_copies(rotation: Tensor, noisy: Tensor, fold: Tensor) -> Tensor:
+    """Of each pose the copy, turned about its own +Z, that is nearest to its noisy pose.
+
+    An n-fold gripper looks the same after a turn by 2 pi / n about the TCP's +Z (DESIGN section
+    4), so any copy is as good a target; their mean, which a residual learns otherwise, is none.
+
+    Args:
+        rotation: `(P, 3, 3)` R_0.
+        noisy: `(P, 3, 3)` R_s.
+        fold: `(P,)` n.
+    """
+    # Trace of R_s^T R_0 Rz(a) is A cos a + B sin a + c: the best a in closed form, then rounded.
+    relative = noisy.transpose(-1, -2) @ rotation
+    along = relative[..., 0, 0] + relative[..., 1, 1]
+    across = relative[..., 0, 1] - relative[..., 1, 0]
+    step = 2.0 * math.pi / fold
+    angle = torch.round(torch.atan2(across, along) / step) * step
+    turn = torch.zeros(len(rotation), 3, dtype=rotation.dtype, device=rotation.device)
+    turn[:, 2] = angle
+    return rotation @ so3.exp(turn)
 
 
 def scene_losses(
     model: GraspModel,
-    codes: dict[str, GripperCode],
+    codes: Mapping[str, GripperCode],
     batch: SceneBatch,
     config: TrainConfig,
     schedule: NoiseSchedule,
     generator: torch.Generator,
-) -> tuple[Tensor, dict[str, float]]:
-    """Weighted sum of all losses of one scene and their values by name."""
+    folds: Mapping[str, int] | None = None,
+) -> SceneLosses:
+    """All losses of one scene.
+
+    Args:
+        model: to be trained.
+        codes: of the batch's grippers.
+        batch: the scene.
+        config: weights.
+        schedule: noise.
+        generator: of levels and noise.
+        folds: gripper -> n-fold symmetry, for `config.nearest_copy`.
+    """
     field = model.encode_scene(batch.nodes, batch.graph)
-    total = torch.zeros((), device=model.device)
-    parts: dict[str, list[float]] = {}
-
-    def add(name: str, value: Tensor, weight: float, share: int) -> None:
-        nonlocal total
-        total = total + weight * value / share
-        parts.setdefault(name, []).append(float(value.detach()))
-
-    if config.train_only == "all":
-        for gripper, poses in batch.positives.items():
-            residual, score = diffusion_losses(
-                model, field, codes[gripper], poses, schedule, generator
+    device = model.device
+    terms: dict[str, Tensor] = {}
+    level = residual = torch.zeros(0, device=device)
+    if batch.positives:
+        poses, code = _joined(batch.positives, codes, device)
+        fold = torch.cat(
+            [
+                torch.full((len(part),), (folds or {}).get(name, 1), device=device)
+                for name, part in batch.positives.items()
+            ]
+        )
+        # Levels are even within each gripper, whose share of the poses is small.
+        level = torch.cat(
+            [
+                draw_levels(len(part), schedule.s_min, generator, device, config.low_levels)
+                for part in batch.positives.values()
+            ]
+        )
+        rotation, translation = poses.rotation, poses.translation
+        noisy_rotation, noisy_translation = perturb(
+            rotation, translation, level, schedule, generator
+        )
+        aim = nearest_copies(rotation, noisy_rotation, fold) if config.nearest_copy else rotation
+        y = target(aim, translation, noisy_rotation, noisy_translation, level, schedule)
+        score = score_target(rotation, noisy_rotation, level, schedule)
+        prediction = model.predict(field, code, noisy_rotation, noisy_translation, level)
+        residual = (prediction.residual - y).square().mean(-1)
+        terms["diffusion"] = residual.mean()
+        terms["score"] = (prediction.score - score).square().mean()
+    if batch.labelled:
+        poses, code = _joined(batch.labelled, codes, device)
+        logit = model.confidence(field, code, poses.rotation, poses.translation)
+        terms["confidence"] = functional.binary_cross_entropy_with_logits(logit, poses.target)
+    if config.graspability_weight:
+        parts = [
+            graspability_loss(
+                model, field, codes[name], near.to(device), batch.tried[name].to(device), config
             )
-            add("diffusion", residual, 1.0, len(batch.positives))
-            add("score", score, config.score_weight, len(batch.positives))
-    for gripper, poses in batch.labelled.items():
-        if config.confidence_weight and len(poses.label):
-            logit = model.confidence(
-                field, codes[gripper], poses.rotation.to(model.device),
-                poses.translation.to(model.device),
-            )  # fmt: skip
-            label = poses.label.to(model.device)
-            loss = functional.binary_cross_entropy_with_logits(logit, label)
-            add("confidence", loss, config.confidence_weight, len(batch.labelled))
-    for gripper, centres in batch.centres.items():
-        if config.graspability_weight:
-            loss = graspability_loss(model, field, codes[gripper], centres, config)
-            add("graspability", loss, config.graspability_weight, len(batch.centres))
-    return total, {name: sum(values) / len(values) for name, values in parts.items()}
+            for name, near in batch.graspable.items()
+        ]
+        terms["graspability"] = torch.stack(parts).mean()
+    weights = {
+        "diffusion": 1.0,
+        "score": config.score_weight,
+        "confidence": config.confidence_weight,
+        "graspability": config.graspability_weight,
+    }
+    total = torch.zeros((), device=device)
+    for name, term in terms.items():
+        total = total + weights[name] * term
+    return SceneLosses(
+        total,
+        {name: float(term.detach()) for name, term in terms.items()},
+        level,
+        residual.detach(),
+        tuple((name, len(part)) for name, part in batch.positives.items()),
+    )
+
+
+def _joined(
+    parts: Mapping[str, LabelledPoses], codes: Mapping[str, GripperCode], device: torch.device
+) -> tuple[LabelledPoses, GripperCode]:
+    """The poses of all grippers one after another, and the gripper of each."""
+    poses = LabelledPoses(
+        torch.cat([part.rotation for part in parts.values()]).to(device),
+        torch.cat([part.translation for part in parts.values()]).to(device),
+        torch.cat([part.target for part in parts.values()]).to(device),
+    )
+    counts = [len(part) for part in parts.values()]
+    return poses, GripperCode.of_poses([codes[name] for name in parts], counts)
 
 
 def graspability_loss(
-    model: GraspModel, field: SceneField, code: GripperCode, centres: Tensor, config: TrainConfig
+    model: GraspModel,
+    field: SceneField,
+    code: GripperCode,
+    graspable: Tensor,
+    tried: Tensor,
+    config: TrainConfig,
 ) -> Tensor:
-    """Cross-entropy of "a positive's TCP is near this node" over the nodes of the second level."""
+    """Cross-entropy of "a positive's TCP is near this node" over the nodes of the second level.
+
+    Nodes on objects that nobody tried say nothing and are left out; the support plane is known
+    not to be graspable.
+
+    Args:
+        model: to be trained.
+        field: the scene.
+        code: the gripper.
+        graspable: `(K, 3)` TCPs of the grasps that held (m).
+        tried: `(L, 3)` TCPs of all that was tried.
+        config: radii.
+    """
+    points = field.points[1]
+    near = _nearest(points, graspable) < config.graspability_radius
+    known = near | (_nearest(points, tried) < config.tried_radius) | field.coarse_plane
+    if not bool(known.any()):
+        return field.invariants.new_zeros(())
     logit = model.graspability(field, code)
-    if len(centres):
-        distance = torch.cdist(field.points[1], centres.to(model.device)).amin(1)
-        near = (distance < config.graspability_radius).to(logit.dtype)
-    else:
-        near = torch.zeros_like(logit)
-    return functional.binary_cross_entropy_with_logits(logit, near)
+    return functional.binary_cross_entropy_with_logits(logit[known], near[known].to(logit.dtype))
+
+
+def _nearest(points: Tensor, centres: Tensor) -> Tensor:
+    """Distance `(n,)` (m) from points `(n, 3)` to the nearest centre; infinite without centres."""
+    if not len(centres):
+        return torch.full((len(points),), math.inf, device=points.device)
+    return torch.cdist(points, centres).amin(1)

@@ -26,9 +26,9 @@ from ..diffusion import NoiseSchedule, SamplerSettings, last_step, sample_steps
 from ..grippers import Gripper, load_gripper
 from ..lie.pose import matrix_from_pose7, pose7_from_matrix
 from ..network import GraspModel
+from ..pointcloud import SceneSettings
 from ..simulation import approach_path, build_world, judge, start_depths
 from ..synthesizer.starts import draw_starts
-from .batching import record_nodes
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,7 +56,7 @@ def draw_poses(
     record: SceneRecord, model: GraspModel, gripper: Gripper, settings: SampleSettings
 ) -> np.ndarray:
     """Sample `(n, 4, 4)` world_from_tcp for a stored scene."""
-    nodes = record_nodes(record)
+    nodes = record.nodes(SceneSettings())
     field = model.encode_scene(nodes)
     code = model.encode_gripper(gripper.tokens(model.config.gripper_tokens, seed=0))
     config = model.config

@@ -2,6 +2,7 @@
 
 from megrasp_core.grippers.family.parameters import FamilyParameters, draw_parameters
 from megrasp_core.grippers.family.rack import (
+    is_procedural,
     load_procedural,
     procedural_gripper_name,
     procedural_rack,
@@ -16,6 +17,7 @@ __all__ = [
     "FamilyParameters",
     "build_gripper",
     "draw_parameters",
+    "is_procedural",
     "is_whole",
     "load_procedural",
     "procedural_gripper_name",

@@ -28,6 +28,11 @@ def procedural_rack(count: int) -> list[str]:
     return [procedural_gripper_name(seed) for seed in range(count)]
 
 
+def is_procedural(name: str) -> bool:
+    """Whether a name is one of the family's."""
+    return _NAME.fullmatch(name) is not None
+
+
 def load_procedural(name: str) -> Gripper | None:
     """The gripper of a name of the family, made anew; None for any other name."""
     match = _NAME.fullmatch(name)

@@ -1,0 +1,173 @@
+"""Compiled message passing: an optional twin of the torch code of `ReducedConvolution`.
+
+Torch writes every product of an edge to memory and reads it again for the sum; here a message is
+added up where it is made. Needs numba, `pip install 'megrasp-core[kernels]'`, no compiler; float32
+on a CPU, one thread. The torch code is the oracle.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ..errors import InvalidRequestError
+
+Sizes = tuple[int, int, int, int, int]
+"""Channels of the sources of degrees 0, 1, 2, and channels lifted to degrees 1 and 2."""
+
+
+def require_kernels() -> None:
+    """Raises InvalidRequestError where numba is missing."""
+    if importlib.util.find_spec("numba") is None:
+        raise InvalidRequestError(
+            "compiled kernels were asked for and numba is not installed; expected it. Run `pip "
+            "install 'megrasp-core[kernels]'`, or do without: training then takes longer."
+        )
+
+
+def fused_messages(
+    f0: Tensor,
+    f1: Tensor | None,
+    f2: Tensor | None,
+    index: Tensor,
+    weights: Tensor,
+    y1: Tensor,
+    y2: Tensor,
+    sizes: Sizes,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Sums of the messages of `ReducedConvolution`, before the division by sqrt(k).
+
+    Args:
+        f0: features of the sources, `(N, c0)`;
+        f1: `(N, 3, c1)`, None without channels;
+        f2: `(N, 5, c2)`, None without channels.
+        index: `(M, k)`.
+        weights: `(M, k, w)` in the order of `ReducedConvolution`.
+        y1: harmonics `(M, k, 3)` and
+        y2: `(M, k, 5)`.
+        sizes: channels.
+
+    Returns:
+        Degrees 0, 1, 2: `(M, c0 + c1 + c2)`, `(M, 3, c1 + l1)`, `(M, 5, c2 + l2)`.
+    """
+    n = len(f0)
+    f1 = f0.new_zeros(n, 3, 0) if f1 is None else f1
+    f2 = f0.new_zeros(n, 5, 0) if f2 is None else f2
+    return _Messages.apply(f0, f1, f2, index, weights, y1, y2, sizes)  # type: ignore[return-value]
+
+
+class _Messages(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, f0, f1, f2, index, weights, y1, y2, sizes):  # type: ignore[override]
+        c0, c1, c2, l1, l2 = sizes
+        tensors = [t.contiguous() for t in (f0, f1, f2, index, weights, y1, y2)]
+        m = len(index)
+        outs = (
+            f0.new_zeros(m, c0 + c1 + c2),
+            f0.new_zeros(m, 3, c1 + l1),
+            f0.new_zeros(m, 5, c2 + l2),
+        )
+        forward, _ = _kernels(sizes)
+        forward(*(t.detach().numpy() for t in (*tensors, *outs)))
+        ctx.save_for_backward(*tensors)
+        ctx.sizes = sizes
+        return outs
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor):  # type: ignore[override]
+        f0, f1, f2, index, weights, y1, y2 = ctx.saved_tensors
+        ours = [torch.zeros_like(t) for t in (f0, f1, f2)]
+        of_weights = torch.empty_like(weights)
+        _, backward = _kernels(ctx.sizes)
+        tensors = (f0, f1, f2, index, weights, y1, y2, *(g.contiguous() for g in gradients))
+        backward(*(t.detach().numpy() for t in (*tensors, *ours, of_weights)))
+        return (*ours, None, of_weights, None, None, None)
+
+
+@functools.lru_cache(maxsize=64)
+def _kernels(sizes: Sizes) -> tuple[Callable[..., None], Callable[..., None]]:
+    """Forward and backward for these numbers of channels, which are constants in the machine
+    code: loops as short as these gain most from it.
+    """
+    import numba
+    import numpy as np
+
+    c0, c1, c2, l1, l2 = sizes
+    norm1, norm2 = np.float32(3.0**-0.5), np.float32(5.0**-0.5)
+    # Where the weights of each path begin: kept degrees, lifted, dropped.
+    k1, k2 = c0, c0 + c1
+    u1, u2 = c0 + c1 + c2, c0 + c1 + c2 + l1
+    d1, d2 = u2 + l2, u2 + l2 + c1
+    compiled = numba.njit(fastmath=True, nogil=True, boundscheck=False)
+
+    @compiled
+    def forward(f0, f1, f2, index, weights, y1, y2, o0, o1, o2):
+        for m in range(index.shape[0]):
+            for j in range(index.shape[1]):
+                s = index[m, j]
+                for c in range(c0):
+                    o0[m, c] += f0[s, c] * weights[m, j, c]
+                for i in range(3):
+                    y = y1[m, j, i]
+                    for c in range(c1):
+                        x = f1[s, i, c]
+                        o1[m, i, c] += x * weights[m, j, k1 + c]
+                        o0[m, c0 + c] += norm1 * y * x * weights[m, j, d1 + c]
+                    for c in range(l1):
+                        o1[m, i, c1 + c] += y * f0[s, c] * weights[m, j, u1 + c]
+                for i in range(5):
+                    y = y2[m, j, i]
+                    for c in range(c2):
+                        x = f2[s, i, c]
+                        o2[m, i, c] += x * weights[m, j, k2 + c]
+                        o0[m, c0 + c1 + c] += norm2 * y * x * weights[m, j, d2 + c]
+                    for c in range(l2):
+                        o2[m, i, c2 + c] += y * f0[s, c] * weights[m, j, u2 + c]
+
+    @compiled
+    def backward(f0, f1, f2, index, weights, y1, y2, g0, g1, g2, a0, a1, a2, aw):
+        for m in range(index.shape[0]):
+            for j in range(index.shape[1]):
+                s = index[m, j]
+                for c in range(c0):
+                    aw[m, j, c] = f0[s, c] * g0[m, c]
+                    a0[s, c] += weights[m, j, c] * g0[m, c]
+                for c in range(c1):
+                    aw[m, j, k1 + c] = 0.0
+                    aw[m, j, d1 + c] = 0.0
+                for c in range(l1):
+                    aw[m, j, u1 + c] = 0.0
+                for i in range(3):
+                    y = y1[m, j, i]
+                    for c in range(c1):
+                        keep, drop = g1[m, i, c], norm1 * y * g0[m, c0 + c]
+                        aw[m, j, k1 + c] += f1[s, i, c] * keep
+                        aw[m, j, d1 + c] += f1[s, i, c] * drop
+                        a1[s, i, c] += weights[m, j, k1 + c] * keep + weights[m, j, d1 + c] * drop
+                    for c in range(l1):
+                        up = y * g1[m, i, c1 + c]
+                        aw[m, j, u1 + c] += f0[s, c] * up
+                        a0[s, c] += weights[m, j, u1 + c] * up
+                for c in range(c2):
+                    aw[m, j, k2 + c] = 0.0
+                    aw[m, j, d2 + c] = 0.0
+                for c in range(l2):
+                    aw[m, j, u2 + c] = 0.0
+                for i in range(5):
+                    y = y2[m, j, i]
+                    for c in range(c2):
+                        keep, drop = g2[m, i, c], norm2 * y * g0[m, c0 + c1 + c]
+                        aw[m, j, k2 + c] += f2[s, i, c] * keep
+                        aw[m, j, d2 + c] += f2[s, i, c] * drop
+                        a2[s, i, c] += weights[m, j, k2 + c] * keep + weights[m, j, d2 + c] * drop
+                    for c in range(l2):
+                        up = y * g2[m, i, c2 + c]
+                        aw[m, j, u2 + c] += f0[s, c] * up
+                        a0[s, c] += weights[m, j, u2 + c] * up
+
+    return forward, backward

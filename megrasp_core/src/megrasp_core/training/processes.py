@@ -1,0 +1,104 @@
+"""Several processes that train one model: each takes a part of a step's scenes, their gradients
+are added up.
+
+One thread a process: two threads in one process wait for each other on a busy machine.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import socket
+from collections.abc import Sequence
+
+import torch
+import torch.distributed as dist
+from torch import Tensor, nn
+
+PATIENCE = datetime.timedelta(hours=1)
+"""How long a process waits for the others: one of them may write a checkpoint."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Team:
+    """The processes of a run, seen from one of them.
+
+    Attributes:
+        rank: of this process; 0 writes.
+        size: how many there are.
+    """
+
+    rank: int = 0
+    size: int = 1
+
+    @property
+    def leads(self) -> bool:
+        """Whether this one writes checkpoints and decides when to end."""
+        return self.rank == 0
+
+    @staticmethod
+    def joined(rank: int, size: int, port: int) -> Team:
+        """Meet the others at a port of this machine; waits until all are there."""
+        dist.init_process_group(
+            "gloo",
+            init_method=f"tcp://127.0.0.1:{port}",
+            rank=rank,
+            world_size=size,
+            timeout=PATIENCE,
+        )
+        return Team(rank, size)
+
+    def leave(self) -> None:
+        """The end of the run."""
+        if self.size > 1:
+            dist.destroy_process_group()
+
+    def slots(self, count: int) -> range:
+        """Which of a step's scenes are this process's."""
+        return range(self.rank, count, self.size)
+
+    def add_up(self, parameters: Sequence[nn.Parameter], numbers: Tensor) -> Tensor:
+        """Replace the gradients by their sum over all processes, and return the sum of `numbers`
+        (float64).
+
+        A parameter without a gradient in any process keeps none, so that the optimiser leaves it
+        alone as it would in one process.
+        """
+        if self.size == 1:
+            return numbers
+        here = torch.tensor([p.grad is not None for p in parameters], dtype=torch.float32)
+        flat = torch.cat(
+            [
+                here,
+                *(
+                    torch.zeros(p.numel()) if p.grad is None else p.grad.flatten().cpu()
+                    for p in parameters
+                ),
+            ]
+        )
+        dist.all_reduce(flat)
+        dist.all_reduce(numbers)
+        start = len(parameters)
+        for parameter, somewhere in zip(parameters, flat[:start].tolist(), strict=True):
+            part = flat[start : start + parameter.numel()]
+            start += parameter.numel()
+            if somewhere:
+                parameter.grad = part.view_as(parameter).to(parameter.device)
+        return numbers
+
+    def told(self, value: list[str]) -> list[str]:
+        """The leader's list, in every process."""
+        if self.size == 1:
+            return value
+        content: list[object] = [value]
+        dist.broadcast_object_list(content, src=0)
+        told = content[0]
+        assert isinstance(told, list)
+        return told
+
+
+def free_port() -> int:
+    """A port of this machine that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
