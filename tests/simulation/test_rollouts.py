@@ -17,8 +17,9 @@ from megrasp_core.evaluation.protocols import ProtocolSettings
 from megrasp_core.grippers import load_gripper
 from megrasp_core.network import PRESETS, GraspModel
 from megrasp_core.objects import procedural_object
+from megrasp_core.pointcloud import SceneSettings
 from megrasp_core.synthesizer import GraspSynthesizer
-from megrasp_core.training import SceneSource, TrainConfig
+from megrasp_core.training import SceneSource, TrainConfig, read_entries
 from megrasp_core.training.rollouts import STAGES, RolloutSettings, label_rollouts
 
 OBJECTS = ObjectSet(procedural_names(6))
@@ -63,15 +64,19 @@ def test_a_finished_bin_is_not_made_again(folder, synthesizer):
 
 
 def test_the_heads_train_on_stages_without_a_success(folder):
-    dataset = SceneDataset(folder)
-    config = TrainConfig(preset="tiny", train_only="heads", grippers=("robotiq_2f85",))
-    source = SceneSource(dataset, config, config.network, [0])
-    record = source.record(0)
-    labels = record.labels["robotiq_2f85"]
-    failures = dataclasses.replace(labels, label=np.zeros_like(labels.label))
-    source._records[0] = dataclasses.replace(record, labels={"robotiq_2f85": failures})
+    config = TrainConfig(
+        network=PRESETS["tiny"], train_only="heads", grippers=("robotiq_2f85",),
+        confidence_poses=10_000,
+    )  # fmt: skip
+    entry = next(iter(read_entries([folder]).values()))
+    table = entry.tables["robotiq_2f85"]
+    nothing = np.zeros(len(table), bool)
+    entry.tables["robotiq_2f85"] = dataclasses.replace(
+        table, good=nothing, target=nothing.astype(np.float32)
+    )
+    source = SceneSource([entry], config, SceneSettings())
     batch = source.draw(np.random.default_rng(0))
-    assert not batch.positives and len(batch.labelled["robotiq_2f85"].label) == len(labels)
+    assert not batch.positives and len(batch.labelled["robotiq_2f85"]) == len(table)
 
 
 def test_calibration_from_judged_grasps():

@@ -21,20 +21,28 @@ from megrasp_core.datasets import (
     open_scenes,
     write_pack,
 )
+from megrasp_core.network import PRESETS
 from megrasp_core.pointcloud import SceneSettings
-from megrasp_core.training import SceneSource, TrainConfig, train
+from megrasp_core.training import (
+    TrainConfig,
+    TrainingJob,
+    TrainingRun,
+    read_entries,
+    resume_training,
+    scene_batch,
+    train,
+)
 
 SETTINGS = SceneSettings()
 CONFIG = TrainConfig(
-    preset="tiny",
+    network=PRESETS["tiny"],
     model_id="tiny-run",
     grippers=("robotiq_2f85",),
-    poses_per_gripper=32,
+    scenes_per_step=1,
+    poses_per_scene=32,
     confidence_poses=8,
     warmup_steps=2,
-    total_poses=32 * 2,
-    total_seconds=None,
-    validation_scenes=1,
+    validation_pairs=1,
 )
 
 
@@ -157,21 +165,24 @@ def test_training_sees_the_same_in_a_pack_as_in_its_folder(data, tmp_path, capsy
     path = tmp_path / "data.mgpack"
     assert main(["data", "pack", "--out", str(data), "--device", "--into", str(path)]) == 0
     assert f"wrote 8 scenes to {path}" in capsys.readouterr().out
-    folder, pack = (
-        SceneSource(open_scenes(source), CONFIG, CONFIG.network, list(range(8)))
-        for source in (data, path)
-    )
-    for index in range(8):
+    folder, pack = (list(read_entries([source]).values()) for source in (data, path))
+    assert len(folder) == len(pack) == 8
+    for entries in zip(folder, pack, strict=True):
         true, found = (
-            source.batch(source.record(index), np.random.default_rng(0), augment=False)
-            for source in (folder, pack)
+            scene_batch(
+                *entry.nodes(SETTINGS, CONFIG.network),
+                entry.tables,
+                CONFIG,
+                np.random.default_rng(0),
+            )
+            for entry in entries
         )
         np.testing.assert_allclose(found.nodes.points, true.nodes.points, atol=2e-5)
         for name, poses in true.positives.items():
             same = found.positives[name]
             np.testing.assert_allclose(same.translation, poses.translation, atol=2e-5)
             np.testing.assert_allclose(same.rotation, poses.rotation, atol=2e-4)
-            np.testing.assert_array_equal(same.label, poses.label)
+            np.testing.assert_array_equal(same.target, poses.target)
         assert set(found.labelled) == set(true.labelled) == {"robotiq_2f85"}
 
 
@@ -181,14 +192,15 @@ def test_training_from_a_pack_learns_and_resumes(data, tmp_path):
     write_pack(path, [PackSource("data", dataset.manifests[0], dataset, len(dataset))])
     losses = []
     config = dataclasses.replace(
-        CONFIG, poses_per_gripper=128, total_poses=128 * 40, learning_rate=5e-3
+        CONFIG, poses_per_scene=128, total_poses=128 * 20, learning_rate=5e-3, constant_share=0.9
     )
-    half = dataclasses.replace(config, total_poses=128 * 20)
-    for part, resume in ((half, False), (config, True)):
-        train(
-            path, tmp_path / "run", part, resume=resume,
-            on_progress=lambda counters, values: losses.append(values["diffusion"]),
-        )  # fmt: skip
+    job = TrainingJob((path,), tmp_path / "run")
+
+    def heard(run: TrainingRun, values: dict[str, float]) -> None:
+        losses.append(values["diffusion"])
+
+    train(job, config, on_progress=heard)
+    resume_training(job, total_poses=128 * 40, on_progress=heard)
     assert len(losses) == 40 and np.isfinite(losses).all()
     assert np.mean(losses[-10:]) < 0.96 * np.mean(losses[:10])
 
