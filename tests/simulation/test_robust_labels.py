@@ -162,7 +162,7 @@ def test_harder_conditions_hold_less(record, gripper):
     hard = (
         dataclasses.replace(amounts, vary=("pose",), metres=0.03),
         dataclasses.replace(amounts, vary=("friction",), friction=(0.001, 0.002)),
-        dataclasses.replace(amounts, vary=("mass",), mass=(90.0, 100.0)),
+        dataclasses.replace(amounts, vary=("mass",), mass=(900.0, 1000.0)),
         dataclasses.replace(amounts, vary=("force",), force=(0.001, 0.002)),
     )
     for settings in hard:
