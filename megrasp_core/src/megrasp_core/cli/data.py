@@ -159,7 +159,8 @@ def stats(
     Try: megrasp data stats --out data/library --pictures data/pictures --card data/card.md
 
     Args:
-        out: folder of `data grasps` or `data scenes`, a packed library, or a device pack.
+        out: folder of `data grasps`, `data scenes` or `data robust`, a packed library, or a device
+            pack.
         pictures: folder to draw into: of a library yield.png, grippers_per_object.png, objects.png
             and grasps.png, of scenes scenes.png.
         card: markdown file to write about a library; the counts go to stats.json beside it.
