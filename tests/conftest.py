@@ -64,12 +64,12 @@ def no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
 def ray_cluster() -> Iterator[None]:
     """Start Ray on this machine, or skip; its workers find the helper modules of the tests."""
     ray = pytest.importorskip("ray", reason="ray is missing: pip install 'megrasp-core[ray]'")
-    helpers = Path(__file__).parent / "core" / "datasets"
+    helpers = [str(Path(__file__).parent / "core" / "datasets"), os.environ.get("PYTHONPATH", "")]
     ray.init(
         num_cpus=2,
         include_dashboard=False,
         log_to_driver=False,
-        runtime_env={"env_vars": {"PYTHONPATH": str(helpers)}},
+        runtime_env={"env_vars": {"PYTHONPATH": os.pathsep.join(filter(None, helpers))}},
     )
     yield
     ray.shutdown()

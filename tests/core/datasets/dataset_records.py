@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from megrasp_core.datasets import NOT_TRIED, GripperLabels, Kind, SceneRecord
+from megrasp_core.datasets import NOT_TRIED, ROBUST_TRIALS, GripperLabels, Kind, SceneRecord
 from megrasp_core.simulation import Bin
 
 
@@ -18,7 +18,8 @@ def labels(rng: np.random.Generator, count: int, objects: int) -> GripperLabels:
     reason = np.where(label == 1, "", "start_collision")
     owner = rng.integers(0, objects, count).astype(np.int16)
     extra = np.where(label == 1, rng.integers(0, objects, count), NOT_TRIED).astype(np.int8)
-    return GripperLabels(pose, owner, label, kind, reason, extra)
+    robust = np.where(label == 1, rng.integers(NOT_TRIED, ROBUST_TRIALS + 1, count), NOT_TRIED)
+    return GripperLabels(pose, owner, label, kind, reason, extra, robust.astype(np.int8))
 
 
 def record(seed: int, *, in_bin: bool = True) -> SceneRecord:
@@ -68,5 +69,5 @@ def assert_equal(first: SceneRecord, second: SceneRecord) -> None:
     assert sorted(first.labels) == sorted(second.labels)
     for gripper, a in first.labels.items():
         b = second.labels[gripper]
-        for name in ("world_from_tcp", "object", "label", "kind", "reason", "extra"):
+        for name in ("world_from_tcp", "object", "label", "kind", "reason", "extra", "robust"):
             np.testing.assert_array_equal(getattr(a, name), getattr(b, name))

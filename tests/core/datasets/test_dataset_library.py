@@ -137,7 +137,7 @@ def test_recipes_keep_object_poses_exactly_and_grasps_within_rounding(tmp_path):
         assert sorted(a.labels) == sorted(b.labels)
         for gripper, first in a.labels.items():
             second = b.labels[gripper]
-            for name in ("object", "label", "kind", "reason", "extra"):
+            for name in ("object", "label", "kind", "reason", "extra", "robust"):
                 np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
             np.testing.assert_allclose(first.world_from_tcp, second.world_from_tcp, atol=3e-5)
 

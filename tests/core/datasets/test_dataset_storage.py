@@ -10,6 +10,7 @@ from dataset_records import assert_equal, record
 
 from megrasp_core.datasets import (
     NOT_TRIED,
+    GripperLabels,
     Kind,
     SceneDataset,
     SceneWriter,
@@ -106,17 +107,19 @@ def test_missing_and_damaged_data_are_named(tmp_path):
     assert finding.damaged and finding.lost == ("scene_0000000001",)
 
 
-def test_scenes_from_before_it_was_kept_do_not_tell_what_came_along(tmp_path):
+def test_scenes_from_before_they_were_kept_do_not_tell_what_came_along_or_held_again(tmp_path):
     one = record(3)
     arrays = record_arrays(one)
-    del arrays["extra"]
+    del arrays["extra"], arrays["robust"]
     write_recipes(tmp_path / "recipes.npz", [one])
     with np.load(tmp_path / "recipes.npz") as file:
-        old = {name: file[name] for name in file.files if name != "extra"}
+        old = {name: file[name] for name in file.files if name not in ("extra", "robust")}
     np.savez(tmp_path / "old.npz", **old)
     for found in (record_from_arrays(arrays), *read_recipes(tmp_path / "old.npz")):
         for name, labels in found.labels.items():
             assert labels.extra.tolist() == [NOT_TRIED] * len(one.labels[name])
+            assert labels.robust.tolist() == [NOT_TRIED] * len(one.labels[name])
+            np.testing.assert_array_equal(labels.target, one.labels[name].label)
             np.testing.assert_array_equal(labels.reason, one.labels[name].reason)
 
 
@@ -184,6 +187,33 @@ def test_half_written_files_are_not_scenes(tmp_path):
             },
             "extra objects",
         ),
+        (
+            lambda r: {
+                "labels": {
+                    **r.labels,
+                    "first": replace(r.labels["first"], robust=np.full(7, 5, np.int8)),
+                }
+            },
+            "robust trials held are not 7 numbers from -1 to 4",
+        ),
+        (
+            lambda r: {
+                "labels": {
+                    **r.labels,
+                    "first": replace(r.labels["first"], robust=np.zeros(6, np.int8)),
+                }
+            },
+            "robust trials held are not 7 numbers",
+        ),
+        (
+            lambda r: {
+                "labels": {
+                    **r.labels,
+                    "first": replace(r.labels["first"], robust=np.ones(7, np.int8)),
+                }
+            },
+            "a colliding grasp held when tried again",
+        ),
     ],
 )
 def test_verify_names_what_is_wrong_with_a_record(change, expected):
@@ -211,3 +241,25 @@ def test_stats_count_labels(tmp_path):
     assert first["successes_watched"] == held
     assert first["successes_with_others_along"] == along
     assert stats["grippers"]["second"]["scenes_with_success"] == 0
+    counts = [np.bincount(r.labels["first"].robust + 1, minlength=6)[1:] for r in records]
+    third = [np.bincount(r.labels["third"].robust + 1, minlength=6)[1:] for r in records]
+    told = stats["robust"]["first"]
+    assert told["held"] == {"judged_success": sum(counts).tolist()}
+    assert stats["robust"]["all"]["grasps"] == sum(counts).sum() + sum(third).sum()
+    assert told["success_held"] == pytest.approx(
+        (sum(counts) @ np.arange(5)) / (4 * sum(counts).sum())
+    )
+    assert "second" not in stats["robust"] and "cpu_seconds_a_grasp" not in told
+
+
+def test_the_target_is_the_share_that_held_where_it_is_known():
+    one = record(0).labels["first"]
+    known = replace(one, robust=np.array([NOT_TRIED, 0, 1, 2, 3, 4, NOT_TRIED], np.int8))
+    expected = [one.label[0], 0.0, 0.25, 0.5, 0.75, 1.0, one.label[6]]
+    assert known.target.tolist() == expected and known.target.dtype == np.float32
+    assert len(GripperLabels.empty().target) == 0
+    fields = (one.world_from_tcp, one.object, one.label, one.kind, one.reason, one.extra)
+    assert GripperLabels(*fields).robust.tolist() == [NOT_TRIED] * 7
+    joined = GripperLabels.joined([known, GripperLabels(*fields)])
+    assert joined.robust.tolist() == [*known.robust, *[NOT_TRIED] * 7]
+    assert joined.part(joined.robust > 2).target.tolist() == [0.75, 1.0]

@@ -9,18 +9,23 @@ import numpy as np
 import pytest
 from dataset_records import labels, record
 from made_packs import MANIFEST, heap, made_records, packed
+from safetensors.numpy import load_file
 from scipy.spatial import KDTree
 
 from megrasp_core.cli import main
 from megrasp_core.datasets import (
+    NOT_TRIED,
     DevicePack,
+    GripperLabels,
     PackSource,
     SceneDataset,
     SceneRecord,
     SceneWriter,
     open_scenes,
+    verify_pack,
     write_pack,
 )
+from megrasp_core.datasets.device_pack import LAYOUT
 from megrasp_core.network import PRESETS
 from megrasp_core.pointcloud import SceneSettings
 from megrasp_core.training import (
@@ -74,13 +79,37 @@ def test_labels_come_back_within_their_rounding(records, pack):
         assert sorted(scene.labels) == sorted(expected.labels)
         for name, found in scene.labels.items():
             true = expected.labels[name]
-            for part in ("object", "label", "kind", "reason"):
+            for part in ("object", "label", "kind", "reason", "robust"):
                 np.testing.assert_array_equal(getattr(found, part), getattr(true, part))
             off = np.abs(found.world_from_tcp - true.world_from_tcp)
             assert off[:, :3].max() < 8e-6, "half a step of 2^-16 m, and float32"
             # Twice the distance of unit quaternions is the angle between them.
             assert np.degrees(2 * np.linalg.norm(off[:, 3:], axis=1)).max() < 0.004
             assert found.world_from_tcp.dtype == np.float32 and found.object.dtype == np.int16
+
+
+def test_a_pack_keeps_what_held_again_and_is_as_ever_where_nothing_was_tried(tmp_path):
+    def without(one: SceneRecord) -> SceneRecord:
+        plain = {
+            name: dataclasses.replace(part, robust=GripperLabels.not_tried(len(part)))
+            for name, part in one.labels.items()
+        }
+        return dataclasses.replace(one, labels=plain)
+
+    known = [heap(10, grasps=5), heap(11, grasps=5)]
+    path = packed(tmp_path / "known.mgpack", known).path
+    plain = packed(tmp_path / "plain.mgpack", [without(one) for one in known])
+    assert set(load_file(path)) == set(LAYOUT) | {"robust"}
+    assert set(load_file(plain.path)) == set(LAYOUT) and "optional" not in plain.meta
+    for scene, one in zip(plain, known, strict=True):
+        for name, part in scene.labels.items():
+            assert part.robust.tolist() == [NOT_TRIED] * len(part)
+            np.testing.assert_array_equal(part.target, one.labels[name].label)
+    mixed = packed(tmp_path / "mixed.mgpack", [known[0], without(known[1])])
+    for name, part in mixed[1].labels.items():
+        assert (part.robust == NOT_TRIED).all()
+        np.testing.assert_array_equal(mixed[0].labels[name].robust, known[0].labels[name].robust)
+    assert verify_pack(path) == verify_pack(plain.path) == []
 
 
 def test_the_nodes_of_inference_are_the_same_within_rounding(records, pack):

@@ -93,6 +93,8 @@ def test_damage_is_told_when_opening(pack, tmp_path, content, expected):
         (lambda a: {"inference": a["inference"] + 9000}, "more nodes than points"),
         (lambda a: {"label_start": a["label_start"][::-1].copy()}, "damaged"),
         (lambda a: {"meta": a["meta"][:-3]}, "damaged"),
+        (lambda a: {"robust": a["robust"][1:]}, "robust do not have the rows"),
+        (lambda a: {"robust": a["robust"].astype(np.int16)}, "robust has type I16"),
     ],
 )
 def test_arrays_that_do_not_fit_are_named(pack, tmp_path, change, expected):
@@ -120,6 +122,15 @@ def test_verify_finds_a_changed_byte_and_a_wrong_owner(pack, tmp_path):
     (tmp_path / "flipped.mgpack").write_bytes(whole)
     [problem] = verify_pack(tmp_path / "flipped.mgpack")
     assert "does not match its sha256" in problem
+    arrays = load_file(pack.path)
+    arrays["robust"][0] ^= 1
+    save_file(arrays, tmp_path / "held.mgpack", metadata={"format": "megrasp device pack 1"})
+    [problem] = verify_pack(tmp_path / "held.mgpack")
+    assert "robust does not match its sha256" in problem
+    del arrays["robust"]
+    save_file(arrays, tmp_path / "lost.mgpack", metadata={"format": "megrasp device pack 1"})
+    with pytest.raises(DataError, match="others were written"):
+        verify_pack(tmp_path / "lost.mgpack")
     arrays = load_file(pack.path)
     arrays["reason"][:] = 200
     save_file(arrays, tmp_path / "odd.mgpack", metadata={"format": "megrasp device pack 1"})

@@ -18,6 +18,7 @@ from .objects import generate
 from .pack import pack
 from .postures import postures
 from .render import render as render_recipes
+from .robust import robust
 from .rollouts import rollouts
 from .synthesize import synthesize
 from .train import train
@@ -57,6 +58,7 @@ def app() -> SubcommandApp:
         plan=plan,
         samples=samples,
         rollouts=rollouts,
+        robust=robust,
     )
     root.command(data, name="data", help="Make, pack and check training data.")
     root.command(train)

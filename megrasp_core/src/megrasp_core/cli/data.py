@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from ..errors import InvalidRequestError
 from .common import Flag, emit, progress_bar, say
+from .runs import Executor, executor_of, finished, run_bar
 
 if TYPE_CHECKING:
-    from ..datasets import ExecutorConfig, ObjectSet, Progress, RunSummary
+    from ..datasets import ObjectSet
 
 __all__ = ["grasps", "scenes", "stats"]
 
-Executor = Literal["local", "ray"]
 Grippers = Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--grippers"])]
 TRAINED = ("robotiq_2f85", "franka_hand", "robotiq_3f")
 
@@ -58,13 +56,13 @@ def grasps(
 
     settings = LabelSettings() if target is None else LabelSettings(target=target)
     config = LibraryConfig(tuple(gripper), _objects(procedural, assets), seed, settings)
-    where = _executor(executor, address, workers)
+    where = executor_of(executor, address, workers)
     if start is not None:
         say(f"{continue_library(load_library(start), out)} pairs taken over from {start}")
         add_runs(out, runs_of(start))
-    with _bar("grasps") as tell:
+    with run_bar("grasps") as tell:
         summary = generate_library(out, config, where, on_progress=tell)
-    return _finished(summary, "pairs of object and gripper", out)
+    return finished(summary, "pairs of object and gripper", out)
 
 
 def scenes(
@@ -143,11 +141,11 @@ def scenes(
     )
     job = SceneJob(scene, library, _objects(procedural, assets, validation))
     seeds = range(seed, seed + num_scenes)
-    with _bar("scenes") as tell:
+    with run_bar("scenes") as tell:
         summary = generate_scenes(
-            out, job, seeds, _executor(executor, address, workers), on_progress=tell
+            out, job, seeds, executor_of(executor, address, workers), on_progress=tell
         )
-    return _finished(summary, "scenes", out)
+    return finished(summary, "scenes", out)
 
 
 def stats(
@@ -161,7 +159,8 @@ def stats(
     Try: megrasp data stats --out data/library --pictures data/pictures --card data/card.md
 
     Args:
-        out: folder of `data grasps` or `data scenes`, a packed library, or a device pack.
+        out: folder of `data grasps`, `data scenes` or `data robust`, a packed library, or a device
+            pack.
         pictures: folder to draw into: of a library yield.png, grippers_per_object.png, objects.png
             and grasps.png, of scenes scenes.png.
         card: markdown file to write about a library; the counts go to stats.json beside it.
@@ -231,32 +230,3 @@ def _objects(procedural: int, assets: bool, validation: bool = False) -> ObjectS
         raise InvalidRequestError(f"--procedural {procedural} was given; expected 0 or more.")
     objects = validation_objects if validation else training_objects
     return objects(procedural, assets=assets and bool(os.environ.get("MEGRASP_ASSETS")))
-
-
-def _executor(kind: Executor, address: str | None, workers: int) -> ExecutorConfig:
-    from ..datasets import ExecutorConfig
-
-    return ExecutorConfig(kind, workers, address)
-
-
-@contextmanager
-def _bar(what: str) -> Iterator[Callable[[Progress], None]]:
-    with progress_bar(None, what) as bar:
-
-        def tell(progress: Progress) -> None:
-            bar.total = progress.total
-            bar.n = progress.done + progress.failed
-            bar.set_postfix(failed=progress.failed, refresh=True)
-
-        yield tell
-
-
-def _finished(summary: RunSummary, what: str, out: Path) -> int:
-    say(f"{summary.done} {what} in {summary.seconds:.0f} s, {len(summary.failed)} failed; {out}")
-    for unit, message in summary.failed[:10]:
-        say(f"failed: {unit}: {message}")
-    if summary.cancelled:
-        say(f"stopped: {summary.reason}")
-        say("what is counted here is saved; run the same command again to go on")
-        return 1
-    return 1 if summary.failed and not summary.done else 0

@@ -39,7 +39,16 @@ from megrasp_core.datasets.object_set import (
 from megrasp_core.datasets.packed_scene import PackedScene
 from megrasp_core.datasets.pictures import scene_picture
 from megrasp_core.datasets.recipes import read_recipes, with_cloud, write_recipes
-from megrasp_core.datasets.records import NOT_TRIED, GraspSet, GripperLabels, Kind, SceneRecord
+from megrasp_core.datasets.records import (
+    NOT_TRIED,
+    ROBUST_TRIALS,
+    GraspSet,
+    GripperLabels,
+    Kind,
+    SceneRecord,
+)
+from megrasp_core.datasets.robust_labels import RobustSettings, RobustTrials, robust_labels
+from megrasp_core.datasets.robust_run import generate_robust
 from megrasp_core.datasets.scene_writer import SceneWriter
 from megrasp_core.datasets.scenes import SceneJob, build_scene, generate_scenes
 from megrasp_core.datasets.storage import SceneDataset
@@ -47,6 +56,7 @@ from megrasp_core.datasets.training_scenes import TrainingScene, open_scenes
 
 __all__ = [
     "NOT_TRIED",
+    "ROBUST_TRIALS",
     "CandidateSettings",
     "Candidates",
     "DevicePack",
@@ -66,6 +76,8 @@ __all__ = [
     "PackSource",
     "PackedScene",
     "Progress",
+    "RobustSettings",
+    "RobustTrials",
     "RunSummary",
     "SceneConfig",
     "SceneDataset",
@@ -79,6 +91,7 @@ __all__ = [
     "build_scene",
     "draw_layout",
     "generate_library",
+    "generate_robust",
     "generate_scenes",
     "label_object",
     "library_card",
@@ -90,6 +103,7 @@ __all__ = [
     "procedural_names",
     "read_recipes",
     "record_problems",
+    "robust_labels",
     "run_units",
     "scene_picture",
     "scene_stats",

@@ -44,6 +44,10 @@ LAYOUT = {
     "sha256": ("U8", 0),
 }
 """Type in the file, and columns (0: a vector), of every array."""
+OPTIONAL = {"robust": ("I8", 0)}
+"""The same of arrays that only some packs have; readers that know none of them get by without.
+`meta` keeps the sha256 of each that is there, since the pack's own is of `LAYOUT` alone.
+"""
 _REPAIR = "Copy the file again, or make it again with `megrasp data pack --device`."
 
 
@@ -79,6 +83,8 @@ class DevicePack(Sequence[PackedScene]):
             self._check()
             self.meta: dict[str, Any] = json.loads(text_of(self._file.get_tensor("meta")))
             self.choice: dict[str, float] = self.meta["nodes"]
+            if sorted(self.meta.get("optional", {})) != self._optional:
+                raise ValueError(f"arrays {self._optional} are there, others were written")
             if len(self.meta["scenes"]) != len(self):
                 raise ValueError(f"{len(self.meta['scenes'])} names for {len(self)} scenes")
         except (LookupError, TypeError, ValueError, SafetensorError) as error:
@@ -87,8 +93,10 @@ class DevicePack(Sequence[PackedScene]):
     def _check(self) -> None:
         """Raises ValueError where arrays are missing or do not fit together."""
         names = set(self._file.keys())
+        self._optional = sorted(names & set(OPTIONAL))
         rows: dict[str, int] = {}
-        for name, (kind, columns) in LAYOUT.items():
+        wanted = {**LAYOUT, **{name: OPTIONAL[name] for name in self._optional}}
+        for name, (kind, columns) in wanted.items():
             if name not in names:
                 raise ValueError(f"no array {name}")
             part = self._file.get_slice(name)
@@ -107,7 +115,7 @@ class DevicePack(Sequence[PackedScene]):
             **dict.fromkeys(("points", "normals"), int(self._point_start[-1])),
             "on_plane": -(-int(self._point_start[-1]) // 8),
             **dict.fromkeys(
-                ("position", "quaternion", "object", "outcome", "reason"),
+                ("position", "quaternion", "object", "outcome", "reason", *self._optional),
                 int(self._label_start[-1]),
             ),
         }
@@ -176,19 +184,22 @@ class DevicePack(Sequence[PackedScene]):
         pose = np.hstack([position, quaternion]).astype(np.float32)
         outcome = self._part("outcome", first, last).astype(np.int8)
         owner = self._part("object", first, last).astype(np.int16)
-        reason = reasons[self._part("reason", first, last)]
+        robust = GripperLabels.not_tried(last - first)
+        if "robust" in self._optional:
+            robust = self._part("robust", first, last)
+        joined = GripperLabels(
+            pose,
+            owner,
+            outcome & 1,
+            outcome >> 1,
+            reasons[self._part("reason", first, last)],
+            GripperLabels.not_tried(last - first),
+            robust,
+        )
         labels: dict[str, GripperLabels] = {}
         start = 0
         for name, count in counts.items():
-            part = slice(start, start + count)
-            labels[name] = GripperLabels(
-                pose[part],
-                owner[part],
-                outcome[part] & 1,
-                outcome[part] >> 1,
-                reason[part],
-                GripperLabels.not_tried(count),
-            )
+            labels[name] = joined.part(slice(start, start + count))
             start += count
         return labels
 
@@ -205,6 +216,9 @@ def verify_pack(path: str | Path) -> list[str]:
     arrays = {name: pack._file.get_tensor(name) for name in LAYOUT}
     if arrays.pop("sha256").tobytes() != digest(arrays):
         problems.append(f"{path}: the content does not match its sha256. {_REPAIR}")
+    for name, expected in pack.meta.get("optional", {}).items():
+        if digest({name: pack._file.get_tensor(name)}).hex() != expected:
+            problems.append(f"{path}: {name} does not match its sha256. {_REPAIR}")
     for index in range(len(pack)):
         try:
             pack[index]

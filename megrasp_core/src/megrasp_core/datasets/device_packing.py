@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import save
 
-from megrasp_core.datasets.device_pack import FORMAT, QUATERNION, digest
+from megrasp_core.datasets.device_pack import FORMAT, OPTIONAL, QUATERNION, digest
 from megrasp_core.datasets.files import text_array, write_bytes
 from megrasp_core.datasets.packed_scene import node_choice, pack_octahedral
-from megrasp_core.datasets.records import GripperLabels, SceneRecord, bin_fields
+from megrasp_core.datasets.records import NOT_TRIED, GripperLabels, SceneRecord, bin_fields
 from megrasp_core.errors import DataError, InvalidRequestError
 from megrasp_core.pointcloud import SceneSettings, choose_nodes, farthest_points, node_counts
 
@@ -115,10 +115,15 @@ def write_pack(
     arrays["on_plane"] = np.packbits(arrays["on_plane"], bitorder="little")
     for name, rows in (("point_start", "points"), ("label_start", "outcome")):
         arrays[name] = np.cumsum([0, *(len(part[rows]) for part in parts)], dtype=np.int64)
+    optional = {name: arrays.pop(name) for name in OPTIONAL}
+    # Equal bytes as ever for scenes without any.
+    optional = {name: rows for name, rows in optional.items() if (rows != NOT_TRIED).any()}
+    if optional:
+        meta["optional"] = {name: digest({name: rows}).hex() for name, rows in optional.items()}
     arrays["meta"] = text_array(json.dumps(meta, sort_keys=True))
     arrays["sha256"] = np.frombuffer(digest(arrays), np.uint8)
     # One entry only: the library writes several in an order that changes from run to run.
-    data = save(arrays, metadata={"format": FORMAT})
+    data = save({**arrays, **optional}, metadata={"format": FORMAT})
     write_bytes(Path(path), data)
     return len(data)
 
@@ -195,6 +200,7 @@ def _labels(record: SceneRecord, reasons: _Codes) -> dict[str, np.ndarray]:
         "object": joined.object.astype(np.uint8),
         "outcome": ((joined.label == 1) | (joined.kind.astype(np.uint8) << 1)).astype(np.uint8),
         "reason": code.astype(np.uint8),
+        "robust": joined.robust,
     }
 
 

@@ -10,7 +10,14 @@ from typing import Any
 import numpy as np
 
 from megrasp_core.datasets.device_pack import DevicePack
-from megrasp_core.datasets.records import NOT_TRIED, GripperLabels, Kind, SceneRecord
+from megrasp_core.datasets.records import (
+    NOT_TRIED,
+    ROBUST_TRIALS,
+    GripperLabels,
+    Kind,
+    SceneRecord,
+)
+from megrasp_core.datasets.robust_stats import Held, held_counts, joined_counts, robust_stats
 from megrasp_core.datasets.run_log import runs_of
 from megrasp_core.datasets.storage import SceneDataset
 
@@ -24,11 +31,13 @@ def scene_stats(
         scenes, runs (what each took), in_bin, mean_objects, mean_points, and per gripper: grasps
         by kind and label, the success rate of the judged library grasps, the reasons of failure,
         of how many successes it is known what came along and with how many something did, the
-        share of scenes with any success, and successes per scene.
+        share of scenes with any success, and successes per scene; and `robust_stats` as `robust`,
+        where there are any.
     """
     dataset = DevicePack(folder) if Path(folder).is_file() else SceneDataset(folder)
     grippers: dict[str, dict[str, Any]] = {}
     objects, points, bins = [], [], 0
+    held: dict[str, list[Held]] = {}
     for index, record in enumerate(dataset):
         objects.append(len(record.object_names))
         points.append(len(record.points))
@@ -42,6 +51,7 @@ def scene_stats(
                     **dict.fromkeys(("scenes", "any", "success", "watched", "along"), 0),
                 },
             )
+            held.setdefault(name, []).append(held_counts(labels))
             entry["scenes"] += 1
             entry["any"] += bool((labels.label == 1).any())
             entry["success"] += int((labels.label == 1).sum())
@@ -56,13 +66,17 @@ def scene_stats(
             entry["reasons"].update(str(reason) for reason in labels.reason[judged])
         if on_progress is not None:
             on_progress(index + 1, len(dataset))
+    runs = runs_of(Path(folder))
+    robust = robust_stats({name: joined_counts(parts) for name, parts in held.items()}, runs)
     return {
         "scenes": len(dataset),
-        "runs": runs_of(Path(folder)),
+        # What the runs of robust labels took is told with the labels.
+        "runs": [{key: run[key] for key in run if key != "robust"} for run in runs],
         "in_bin": bins,
         "mean_objects": float(np.mean(objects)) if objects else 0.0,
         "mean_points": float(np.mean(points)) if points else 0.0,
         "grippers": {name: _summary(entry) for name, entry in sorted(grippers.items())},
+        **({"robust": robust} if robust else {}),
     }
 
 
@@ -126,4 +140,12 @@ def _label_problems(labels: GripperLabels, objects: int) -> list[str]:
         NOT_TRIED <= labels.extra.min() <= labels.extra.max() <= objects
     ):
         problems.append(f"extra objects are not {count} numbers from {NOT_TRIED} to {objects}")
+    if labels.robust.shape != (count,) or not (
+        NOT_TRIED <= labels.robust.min() <= labels.robust.max() <= ROBUST_TRIALS
+    ):
+        problems.append(
+            f"robust trials held are not {count} numbers from {NOT_TRIED} to {ROBUST_TRIALS}"
+        )
+    elif (labels.robust[labels.kind == Kind.COLLISION] > 0).any():
+        problems.append("a colliding grasp held when tried again")
     return problems

@@ -17,7 +17,7 @@ from megrasp_core.pointcloud import OrientedBox, SceneSettings
 from megrasp_core.simulation import Bin, DepthNoise, ViewName, settle
 
 GRAVITY = (0.0, 0.0, -1.0)
-LAYOUT, CAMERA, LABELS = 0, 1, 2
+LAYOUT, CAMERA, LABELS, ROBUST = 0, 1, 2, 3
 """Streams of randomness of a scene: what changes in one leaves the others alone."""
 
 

@@ -79,6 +79,7 @@ def write_recipes(path: str | Path, records: Iterable[SceneRecord]) -> int:
             "kind": joined.kind,
             "reason": np.array([code[str(reason)] for reason in joined.reason], np.uint8),
             "extra": joined.extra,
+            "robust": joined.robust,
         },
     )
     return Path(path).stat().st_size
@@ -106,22 +107,25 @@ def read_recipes(path: str | Path) -> list[SceneRecord]:
     norm = np.linalg.norm(grasp[:, 3:], axis=1, keepdims=True)
     grasp[:, 3:] /= np.maximum(norm, 1e-6)
     reason = np.array([*meta["reasons"], ""], np.str_)[arrays["reason"]]
-    # Recipes made before it was kept have no such array.
-    extra = arrays["extra"] if "extra" in arrays else GripperLabels.not_tried(len(reason))
+    # Recipes made before they were kept have no such arrays.
+    extra, robust = (
+        arrays.get(name, GripperLabels.not_tried(len(reason))) for name in ("extra", "robust")
+    )
+    joined = GripperLabels(
+        grasp,
+        arrays["object"].astype(np.int16),
+        arrays["label"],
+        arrays["kind"],
+        reason,
+        extra,
+        robust,
+    )
     records, first, start = [], 0, 0
     for scene in meta["scenes"]:
         last = first + len(scene["objects"])
         labels: dict[str, GripperLabels] = {}
         for name, count in scene["grippers"].items():
-            part = slice(start, start + count)
-            labels[name] = GripperLabels(
-                grasp[part],
-                arrays["object"][part].astype(np.int16),
-                arrays["label"][part],
-                arrays["kind"][part],
-                reason[part],
-                extra[part],
-            )
+            labels[name] = joined.part(slice(start, start + count))
             start += count
         records.append(
             SceneRecord(

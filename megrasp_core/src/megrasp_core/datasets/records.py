@@ -74,7 +74,15 @@ class GraspSet:
 
 
 NOT_TRIED = -1
-"""As `GripperLabels.extra`: it was not tried in the heap, or what rose was not kept."""
+"""As `GripperLabels.extra`: it was not tried in the heap, or what rose was not kept. As
+`GripperLabels.robust`: it was not tried again under other conditions.
+"""
+
+ROBUST_TRIALS = 4
+"""So often a grasp is tried again for its robust label (DESIGN section 5)."""
+
+_NOBODY_SAID = np.zeros(0, np.int8)
+"""Stands for NOT_TRIED throughout where `GripperLabels` is made without `robust`."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +96,8 @@ class GripperLabels:
         kind: (K,) int8, a `Kind`.
         reason: (K,) str, why it failed; "" for successes.
         extra: (K,) int8, objects lifted besides the target (`Verdict.extra`), or NOT_TRIED.
+        robust: (K,) int8, how many of ROBUST_TRIALS under other conditions it held
+            (`robust_labels.py`), or NOT_TRIED, which all are where it is not given.
     """
 
     world_from_tcp: NDArray[np.float32]
@@ -96,9 +106,34 @@ class GripperLabels:
     kind: NDArray[np.int8]
     reason: NDArray[np.str_]
     extra: NDArray[np.int8]
+    robust: NDArray[np.int8] = field(default_factory=lambda: _NOBODY_SAID)
+
+    def __post_init__(self) -> None:
+        if self.robust is _NOBODY_SAID:
+            object.__setattr__(self, "robust", self.not_tried(len(self)))
 
     def __len__(self) -> int:
         return len(self.label)
+
+    @property
+    def target(self) -> NDArray[np.float32]:
+        """(K,) float32 in [0, 1], what a confidence should say: the share of the robust trials
+        that held, where there were any, else the label.
+        """
+        share = self.robust.astype(np.float32) / np.float32(ROBUST_TRIALS)
+        return np.where(self.robust == NOT_TRIED, self.label, share).astype(np.float32)
+
+    def part(self, index: NDArray[np.integer] | NDArray[np.bool_] | slice) -> GripperLabels:
+        """The rows of `index`."""
+        return GripperLabels(
+            self.world_from_tcp[index],
+            self.object[index],
+            self.label[index],
+            self.kind[index],
+            self.reason[index],
+            self.extra[index],
+            self.robust[index],
+        )
 
     @staticmethod
     def empty() -> GripperLabels:
@@ -124,11 +159,12 @@ class GripperLabels:
             np.concatenate([p.kind for p in parts]).astype(np.int8),
             np.concatenate([p.reason for p in parts]),
             np.concatenate([p.extra for p in parts]).astype(np.int8),
+            np.concatenate([p.robust for p in parts]).astype(np.int8),
         )
 
     @staticmethod
     def not_tried(count: int) -> NDArray[np.int8]:
-        """(count,) NOT_TRIED, as `extra`."""
+        """(count,) NOT_TRIED, as `extra` and `robust`."""
         return np.full(count, NOT_TRIED, np.int8)
 
 

@@ -58,14 +58,14 @@ class SceneLabeller:
         tested = proposer.proposals(self._rng)
         free = self._capped(tested.part(tested.reason == ""))
         _, first = np.unique(free.group, return_index=True)
-        order = first[self._balanced(free.object[first])]
+        order = first[balanced(free.object[first], self._rng)]
         more = order[config.judged :]
         more = more[free.library[more]][: config.judged_library]
         trials = np.concatenate([order[: config.judged], more])
         judged = self._judged(free.part(trials), Kind.JUDGED)
         held = judged.label == 1
         colliding = tested.part(tested.reason != "")
-        colliding = colliding.part(self._balanced(colliding.object)[: config.colliding])
+        colliding = colliding.part(balanced(colliding.object, self._rng)[: config.colliding])
         return GripperLabels.joined(
             [
                 judged,
@@ -87,14 +87,6 @@ class SceneLabeller:
             for index in self._proposer.graspable
         ]
         return free.part(np.concatenate([np.zeros(0, np.int64), *keep]))
-
-    def _balanced(self, owners: NDArray[np.integer]) -> NDArray[np.int64]:
-        """An order of the grasps in which the objects take turns, drawn anew for every round."""
-        rank = np.zeros(len(owners))
-        for index in np.unique(owners):
-            mine = np.flatnonzero(owners == index)
-            rank[mine] = self._rng.permutation(len(mine))
-        return np.lexsort((self._rng.random(len(owners)), rank))
 
     def _judged(self, grasps: SceneGrasps, kind: Kind) -> GripperLabels:
         label = np.zeros(len(grasps), np.int8)
@@ -139,6 +131,17 @@ class SceneLabeller:
                 _labels(hit.pose, hit.object, 0, Kind.PERTURBED, hit.reason),
             ]
         )
+
+
+def balanced(owners: NDArray[np.integer], rng: np.random.Generator) -> NDArray[np.int64]:
+    """An order (n,) of grasps of the objects `owners` (n,) in which the objects take turns, drawn
+    anew for every round.
+    """
+    rank = np.zeros(len(owners))
+    for index in np.unique(owners):
+        mine = np.flatnonzero(owners == index)
+        rank[mine] = rng.permutation(len(mine))
+    return np.lexsort((rng.random(len(owners)), rank))
 
 
 def near_moves(count: int, rng: np.random.Generator) -> Poses:

@@ -74,6 +74,7 @@ def record_arrays(record: SceneRecord, prefix: str = "") -> dict[str, np.ndarray
         "kind": joined.kind,
         "reason": np.array([code[str(reason)] for reason in joined.reason], np.uint8),
         "extra": joined.extra,
+        "robust": joined.robust,
     }
     return {prefix + key: value for key, value in arrays.items()}
 
@@ -86,16 +87,16 @@ def record_from_arrays(file: Any, prefix: str = "") -> SceneRecord:
     pose, owner = file[prefix + "world_from_tcp"], file[prefix + "object"]
     label, kind = file[prefix + "label"], file[prefix + "kind"]
     reason = reasons[file[prefix + "reason"]]
-    # Scenes made before it was kept have no such array.
-    kept = prefix + "extra" in file
-    extra = file[prefix + "extra"] if kept else GripperLabels.not_tried(len(label))
+    # Scenes made before they were kept have no such arrays.
+    extra, robust = (
+        file[prefix + name] if prefix + name in file else GripperLabels.not_tried(len(label))
+        for name in ("extra", "robust")
+    )
+    joined = GripperLabels(pose, owner, label, kind, reason, extra, robust)
     labels: dict[str, GripperLabels] = {}
     start = 0
     for name, count in zip(meta["grippers"], meta["counts"]):
-        part = slice(start, start + count)
-        labels[name] = GripperLabels(
-            pose[part], owner[part], label[part], kind[part], reason[part], extra[part]
-        )
+        labels[name] = joined.part(slice(start, start + count))
         start += count
     return SceneRecord(
         name=meta["name"],

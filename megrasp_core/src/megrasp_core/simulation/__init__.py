@@ -22,6 +22,7 @@ from megrasp_core.simulation.rendering import Snapshot, observe, render_depth, r
 from megrasp_core.simulation.rigs import ViewName, rig, sparse_camera
 from megrasp_core.simulation.start_collision import approach_path, start_depths
 from megrasp_core.simulation.support import Bin
+from megrasp_core.simulation.variation import Variation, varied
 from megrasp_core.simulation.verdict import Reason, TrialSettings, Verdict, judge
 from megrasp_core.simulation.view import View
 from megrasp_core.simulation.world import World, WorldState, build_world
@@ -43,6 +44,7 @@ __all__ = [
     "Snapshot",
     "TopDownCamera",
     "TrialSettings",
+    "Variation",
     "Verdict",
     "View",
     "ViewName",
@@ -63,4 +65,5 @@ __all__ = [
     "settle",
     "sparse_camera",
     "start_depths",
+    "varied",
 ]

@@ -107,6 +107,16 @@ class World:
         """Objects that are in the scene, ascending."""
         return [i for i in range(len(self.objects)) if i not in self._parked]
 
+    @property
+    def object_bodies(self) -> NDArray[np.int64]:
+        """(n,) body of each object in `model`."""
+        return self._object_body
+
+    @property
+    def object_dofs(self) -> NDArray[np.int64]:
+        """(n, 6) degrees of freedom of each object in `model`: three to move, three to turn."""
+        return self._object_dof
+
     def object_poses(self) -> NDArray[np.float64]:
         """World-from-object of every object, parked ones too; (n, 4, 4)."""
         poses = [read_pose(self.data.qpos, address) for address in self._object_qpos]

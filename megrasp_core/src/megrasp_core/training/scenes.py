@@ -47,7 +47,7 @@ class PoseTable:
         return PoseTable(
             matrix[:, :3, :3].astype(np.float32),
             matrix[:, :3, 3].copy(),
-            labels.label.astype(np.float32),
+            labels.target,
             labels.label == 1,
             labels.object,
         )
