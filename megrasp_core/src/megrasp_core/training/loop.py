@@ -25,7 +25,7 @@ from .checkpoint import CheckpointState, load_checkpoint, read_state, save_check
 from .config import Counters, TrainConfig, rate_factor
 from .curves import plot_curves
 from .losses import scene_losses
-from .processes import Team, free_port
+from .processes import Team, free_port, tuned_process
 from .rack import GripperRack
 from .scenes import TrainingEntry, divided, read_entries, without_objects
 from .validation import validate, validation_pairs
@@ -47,6 +47,7 @@ class TrainingJob:
         processes: that share a step's scenes, one thread each; on a CPU only.
         seconds: of this stretch, after which the run is saved and left; None: to the end of the
             plan.
+        compiled: use compiled kernels, which need numba.
     """
 
     data: tuple[Path, ...]
@@ -55,6 +56,7 @@ class TrainingJob:
     device: str = "cpu"
     processes: int = 1
     seconds: float | None = None
+    compiled: bool = False
 
     def __post_init__(self) -> None:
         if self.processes < 1 or (self.processes > 1 and self.device != "cpu"):
@@ -127,13 +129,12 @@ def _run(
                 followers.append(context.Process(target=_follow, args=arguments, daemon=True))
                 followers[-1].start()
         team = Team.joined(0, job.processes, port)
-    torch.set_flush_denormal(True)
     try:
-        run = TrainingRun(job, config, team, start_from)
-        if resume:
-            run.resume()
-        run.read()
-        with StopSignals() as signals:
+        with tuned_process(), StopSignals() as signals:
+            run = TrainingRun(job, config, team, start_from)
+            if resume:
+                run.resume()
+            run.read()
             ended = False
             try:
                 # The first signal ends the stretch after the step at work, a second one at once.
@@ -144,9 +145,8 @@ def _run(
             except KeyboardInterrupt:
                 if not ended:
                     raise
-        return run.averaged()
+            return run.averaged()
     finally:
-        torch.set_flush_denormal(False)
         team.leave()
         for follower in followers:
             follower.join(timeout=10.0)
@@ -164,13 +164,13 @@ def _follow(
     """What the other processes do."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     torch.set_num_threads(1)
-    torch.set_flush_denormal(True)
     team = Team.joined(rank, job.processes, port)
-    run = TrainingRun(job, config, team, start_from)
-    if resume:
-        run.resume()
-    run.read()
-    run.go_on(lambda: False, None)
+    with tuned_process():
+        run = TrainingRun(job, config, team, start_from)
+        if resume:
+            run.resume()
+        run.read()
+        run.go_on(lambda: False, None)
     team.leave()
 
 
@@ -194,6 +194,8 @@ class TrainingRun:
             before = {name: start_from.info[name] for name in kept if name in start_from.info}
             self.facts = {"started_from": before}
         self.model.to(job.device).low_precision = low_precision_pays(job.device)
+        if job.compiled:
+            self.model.use_kernels()
         if config.heads_only:
             for name, parameter in self.model.named_parameters():
                 parameter.requires_grad_(name.startswith(("confidence", "graspability")))
