@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
 import torch
 
+from megrasp_core.cli import main
 from megrasp_core.datasets import Kind, ObjectSet, SceneDataset, SceneRecord, SceneWriter
 from megrasp_core.diffusion import SamplerSettings
+from megrasp_core.errors import DataError
+from megrasp_core.evaluation.sample_rates import sample_rates
 from megrasp_core.grippers import load_gripper
 from megrasp_core.lie.pose import pose7_from_matrix
-from megrasp_core.network import PRESETS, GraspModel
+from megrasp_core.network import PRESETS, GraspModel, save_model
+from megrasp_core.simulation import Bin
 from megrasp_core.training.model_samples import SampleSettings, judge_poses, label_samples
 
 SETTINGS = SampleSettings(
@@ -81,3 +86,43 @@ def test_a_run_writes_copies_and_resumes(record, tmp_path):
     labels = made[0].labels["robotiq_2f85"]
     assert 0 < len(labels) <= SETTINGS.judged + SETTINGS.colliding
     assert np.array_equal(made[0].points, record.points)
+
+
+def test_models_are_compared_by_samples_in_the_same_scenes(record, tmp_path, capsys):
+    written_scenes = SceneWriter(tmp_path / "scenes", {"config": "test"})
+    for seed in (1, 2):
+        written_scenes.add(dataclasses.replace(record, seed=seed, name=f"scene_{seed:010d}"))
+    written_scenes.close()
+    sampler = dataclasses.asdict(SamplerSettings(steps=2, restarts=0))
+    for name in ("one", "two"):
+        torch.manual_seed(len(name))
+        model = GraspModel(PRESETS["tiny"], model_id=name)
+        save_model(model, tmp_path / name / "model", {"sampler": sampler})
+    page = tmp_path / "page.md"
+    page.write_text("<!-- comparison -->\n<!-- /comparison -->\n")
+    out = tmp_path / "comparison.json"
+    arguments = [
+        "compare", "--models", str(tmp_path / "one"), str(tmp_path / "two" / "model"), "--data",
+        str(tmp_path / "scenes"), "--gripper", "robotiq_2f85", "allegro_hand", "--grasps", "5",
+        "--out", str(out), "--page", str(page),
+    ]  # fmt: skip
+    assert main(arguments) == 0, capsys.readouterr().err
+    content = json.loads(out.read_text())
+    assert [row["model"] for row in content["rows"]] == ["one", "two"]
+    for row in content["rows"]:
+        for name in ("robotiq_2f85", "allegro_hand"):
+            rates = row[name]
+            # Three samples in each of the two scenes, so that five are reached.
+            assert rates["unfiltered"]["trials"] == rates["colliding"]["trials"] == 6
+            assert rates["unfiltered"]["successes"] + rates["colliding"]["successes"] <= 6
+            assert rates["evaluations"] == 2
+    assert page.read_text().count("\n| ") == 4
+    assert main([*arguments[:-2], "--grasps", "0"]) == 2
+    assert "expected at least one each" in capsys.readouterr().err
+
+
+def test_a_hand_is_compared_on_tables_alone(record):
+    in_bin = dataclasses.replace(record, bin=Bin())
+    model = GraspModel(PRESETS["tiny"]).eval()
+    with pytest.raises(DataError, match="hold none for allegro_hand; expected tables"):
+        sample_rates(model, [in_bin], "allegro_hand", ObjectSet(()), grasps=1, seed=1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from tyro.extras import SubcommandApp
 
 from .calibrate import calibrate
+from .compare import compare
 from .data import grasps, scenes, stats
 from .data_plan import plan
 from .demo import demo
@@ -64,6 +65,7 @@ def app() -> SubcommandApp:
     root.command(train)
     root.command(evaluation, name="eval")  # type: ignore[call-overload]
     root.command(calibrate)
+    root.command(compare)
     root.command(bench)
     return root
 

@@ -128,22 +128,27 @@ def evaluation(
 def bench(
     out: Path | None = None,
     device: Literal["cpu", "cuda"] = "cpu",
-    stage: Literal["synthesis", "render", "data"] = "synthesis",
+    stage: Literal["synthesis", "render", "data", "training"] = "synthesis",
     gripper: str = "robotiq_2f85",
     model: str | None = None,
     threads: int | None = None,
     repeats: int = 7,
     page: Path | None = None,
+    data: Path | None = None,
+    against: Path | None = None,
 ) -> int:
     """Seconds, CPU-seconds and memory of a synthesis, from cloud to ranked list.
 
     Or CPU-seconds: `render`, to render the open and closed cloud of all registered and of 50
-    procedural grippers; `data`, rates of the data generator for the grippers that are trained.
+    procedural grippers; `data`, rates of the data generator for the grippers that are trained;
+    `training`, poses a second in training beside those of an older checkout.
 
     Try:
       megrasp bench --threads 2 --out bench.json
       megrasp bench --stage render --out render.json
       megrasp bench --stage data --out docs/data_bench.json --page docs/data.md
+      git worktree add ../before 1540005
+      megrasp bench --stage training --data data/scenes --against ../before --repeats 3
 
     Args:
         out: result file (JSON); by default printed.
@@ -155,6 +160,8 @@ def bench(
         repeats: timed calls per row.
         page: markdown page whose lines between <!-- rates --> and <!-- /rates --> become tables
             of the result (data).
+        data: data set of scenes labelled for four grippers each (training).
+        against: checkout to compare with (training).
     """
     if repeats < 1:
         raise InvalidRequestError(f"--repeats {repeats} was given; expected at least 1.")
@@ -162,6 +169,23 @@ def bench(
         raise InvalidRequestError(
             f"--page was given with --stage {stage}; expected --stage data, whose tables it takes."
         )
+    if (stage == "training") != (data is not None and against is not None):
+        raise InvalidRequestError(
+            f"--stage {stage} was given with --data {data} and --against {against}; expected both "
+            "with --stage training and none otherwise."
+        )
+    if data is not None and against is not None:
+        from ..evaluation.bench_training import bench_training
+
+        with progress_bar(3 * repeats, stage) as bar:
+            content = bench_training(
+                data,
+                against,
+                repeats=repeats,
+                on_progress=lambda done, _: bar.update(done - bar.n),
+            )
+        emit(content, out)
+        return 0
     if stage == "render":
         from ..evaluation.render_bench import bench_rendering
 

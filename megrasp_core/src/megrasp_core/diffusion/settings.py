@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from megrasp_core.diffusion.schedule import NoiseSchedule
 from megrasp_core.errors import InvalidRequestError
@@ -71,6 +72,13 @@ class SamplerSettings:
                 f"got langevin_inner={self.langevin_inner}, langevin_step={self.langevin_step}; "
                 "expected at least 1 move and a step in (0, 2)"
             )
+
+    @classmethod
+    def of(cls, info: Mapping[str, Any]) -> SamplerSettings:
+        """What a model's `config.json` says that it is meant to be sampled with; the default for
+        a model that says nothing.
+        """
+        return cls(**info.get("sampler", {}))
 
     @property
     def uses_score(self) -> bool:

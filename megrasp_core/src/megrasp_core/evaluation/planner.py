@@ -41,7 +41,7 @@ class ModelPlanner:
     @property
     def sampler(self) -> SamplerSettings:
         """The sampler that a pose goes through."""
-        return self.synthesizer.settings.sampler
+        return self.synthesizer.sampler
 
     def plan(self, cloud: Cloud, **options: Any) -> Synthesis:
         """See `GraspSynthesizer.synthesize`."""

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..diffusion import NoiseSchedule, SamplerStep, descend, last_step, refine
+from ..diffusion import NoiseSchedule, SamplerSettings, SamplerStep, descend, last_step, refine
 from ..errors import CancelledError
 from ..grippers import Gripper
 from ..network import GraspModel, GripperCode, SceneField
@@ -56,21 +56,21 @@ class SynthesisRun:
         request: SynthesisRequest,
         *,
         schedule: NoiseSchedule,
+        sampler: SamplerSettings,
         scene_settings: SceneSettings,
         settings: SynthesizerSettings,
         on_step: OnStep | None = None,
         cancelled: Cancelled | None = None,
     ) -> None:
-        self.model, self.schedule = model, schedule
+        self.model, self.schedule, self.sampler = model, schedule, sampler
         self.settings, self.scene_settings = settings, scene_settings
         self.mounted, self.request = mounted, request
         self.on_step, self.cancelled = on_step, cancelled
         self.timing: dict[str, float] = {}
         self.generator = torch.Generator(device=self.model.device)
         self.generator.manual_seed(int(request.seed or 0))
-        sampler = self.settings.sampler
         self.keep = request.drawn
-        if request.mode == "default" and self.model.device.type == "cpu" and sampler.restarts:
+        if request.mode == "default" and model.device.type == "cpu" and sampler.restarts:
             self.keep = min(self.settings.refined, request.drawn)
         self.total = sampler.evaluations
 
@@ -135,16 +135,14 @@ class SynthesisRun:
         starts = draw_starts(
             self.model, scene, self.mounted.code, self.request.drawn, self.generator
         )
-        steps = descend(
-            self._denoiser(scene), starts, self.settings.sampler, self.schedule, self.generator
-        )
+        steps = descend(self._denoiser(scene), starts, self.sampler, self.schedule, self.generator)
         last = last_step(steps, self._sampled, self.cancelled)
         return last.rotation, last.translation
 
     def _refine(
         self, scene: SceneField, rotation: Tensor, translation: Tensor
     ) -> tuple[Tensor, Tensor]:
-        sampler = self.settings.sampler
+        sampler = self.sampler
         if sampler.restarts == 0 or len(rotation) == 0:
             return rotation, translation
         done = sampler.descend_evaluations
@@ -161,7 +159,7 @@ class SynthesisRun:
     def _denoiser(self, scene: SceneField) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
         def denoise(rotation: Tensor, translation: Tensor, s: Tensor) -> Tensor:
             said = self.model.predict(scene, self.mounted.code, rotation, translation, s)
-            if self.settings.sampler.uses_score:
+            if self.sampler.uses_score:
                 return torch.cat([said.residual[:, :3], said.score], dim=-1)
             return said.residual
 

@@ -61,7 +61,7 @@ class SynthesizerSettings:
     """What is fixed between calls.
 
     Attributes:
-        sampler: denoiser evaluations and restarts.
+        sampler: denoiser evaluations and restarts; None: as the model says.
         polish: local search about the best samples in mode `default`.
         refined: poses that go through the restarts in mode `default` on a CPU; on a GPU all do.
         ranking: check, contacts, score.
@@ -70,7 +70,7 @@ class SynthesizerSettings:
         gripper_seed: of the gripper's clouds and tokens.
     """
 
-    sampler: SamplerSettings = field(default_factory=SamplerSettings)
+    sampler: SamplerSettings | None = None
     polish: PolishSettings = field(default_factory=PolishSettings)
     refined: int = 40
     ranking: RankingSettings = field(default_factory=RankingSettings)

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
-from ..diffusion import NoiseSchedule
+from ..diffusion import NoiseSchedule, SamplerSettings
 from ..errors import InvalidRequestError
 from ..grippers import Gripper, load_gripper
 from ..network import GraspModel, load_model
@@ -63,6 +63,7 @@ class GraspSynthesizer:
             )
         self.model = model
         self.settings = _calibrated(settings or SynthesizerSettings(), model)
+        self.sampler = self.settings.sampler or SamplerSettings.of(model.info)
         self.threads = threads
         config = model.config
         process = str(model.info.get("process", "diffusion"))
@@ -196,6 +197,7 @@ class GraspSynthesizer:
                 self._mounted,
                 request,
                 schedule=self.schedule,
+                sampler=self.sampler,
                 scene_settings=self.scene_settings,
                 settings=self.settings,
                 on_step=on_step,

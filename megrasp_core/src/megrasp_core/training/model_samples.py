@@ -39,7 +39,7 @@ class SampleSettings:
     tried in the
     heap; the others that are free are left out. colliding: at most this many of those that
     collide are kept, as
-    failures. sampler: what the poses go through.
+    failures. sampler: what the poses go through; None: what the model says.
     """
 
     samples: int = 48
@@ -47,7 +47,7 @@ class SampleSettings:
     colliding: int = 16
     approach_distance: float = 0.10
     max_depth: float = 0.001
-    sampler: SamplerSettings = dataclasses.field(default_factory=SamplerSettings)
+    sampler: SamplerSettings | None = None
     seed: int = 1
 
 
@@ -68,7 +68,7 @@ def draw_poses(
             model.predict(field, code, rotation, translation, s).residual
         ),
         starts,
-        settings.sampler,
+        settings.sampler or SamplerSettings.of(model.info),
         schedule,
         generator,
     )

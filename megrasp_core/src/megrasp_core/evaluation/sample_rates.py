@@ -1,0 +1,152 @@
+"""How good a model's raw samples are in stored scenes: the measure by which networks are compared
+(validation objects, never devtest).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from ..datasets import ObjectSet, SceneDataset, SceneRecord
+from ..diffusion import SamplerSettings
+from ..errors import DataError
+from ..grippers import load_gripper
+from ..machine import processor
+from ..network import GraspModel, load_model
+from ..training.model_samples import SampleSettings, draw_poses, judge_poses
+from .statistics import cluster_bootstrap
+
+
+def compare_models(
+    runs: Sequence[Path],
+    scenes: SceneDataset,
+    grippers: Sequence[str],
+    *,
+    grasps: int = 200,
+    seed: int = 1,
+    on_progress: Callable[[int, int], object] | None = None,
+) -> dict[str, Any]:
+    """Sample with every model for every gripper in the same scenes and try each sample.
+
+    Args:
+        runs: folders of `megrasp train`, or of models.
+        scenes: stored scenes, of objects that no model was trained with.
+        grippers: names; hands are sampled on tables alone, since in most bins they find no free
+            grasp.
+        grasps: per model and gripper, spread evenly over the scenes.
+        seed: of the samples.
+        on_progress: called with rows done and in all.
+
+    Returns:
+        Content of the result file: per model and gripper the share of samples that hold
+        (unfiltered) and that collide at the pre-grasp or, in bins, on the way to it; intervals by
+        cluster bootstrap over the scenes.
+
+    Raises:
+        DataError: no scene is left for a gripper.
+    """
+    objects, records = ObjectSet(()), list(scenes)
+    rows = []
+    for run in runs:
+        model = _model_of(run)
+        row: dict[str, Any] = {"model": model.model_id, **_training_facts(run, model)}
+        for name in grippers:
+            row[name] = sample_rates(model, records, name, objects, grasps=grasps, seed=seed)
+            if on_progress is not None:
+                on_progress(len(rows) * len(grippers) + list(grippers).index(name) + 1,
+                            len(runs) * len(grippers))  # fmt: skip
+        rows.append(row)
+    return {
+        "scenes": len(records),
+        "grasps": grasps,
+        "seed": seed,
+        "grippers": list(grippers),
+        "rows": rows,
+        "hardware": processor(),
+    }
+
+
+def sample_rates(
+    model: GraspModel,
+    records: Sequence[SceneRecord],
+    gripper_name: str,
+    objects: ObjectSet,
+    *,
+    grasps: int,
+    seed: int,
+) -> dict[str, Any]:
+    """Rates of one model and gripper; see `compare_models`."""
+    gripper = load_gripper(gripper_name)
+    if gripper.description.kind == "hand":
+        records = [record for record in records if record.bin is None]
+    if not records:
+        raise DataError(
+            f"the scenes hold none for {gripper_name}; expected tables for a hand. Make some with "
+            "`megrasp data scenes --bins 0`."
+        )
+    each = -(-grasps // len(records))
+    settings = SampleSettings(samples=each, judged=each, colliding=each, seed=seed)
+    held, hit, tried = [], [], []
+    for record in records:
+        poses = draw_poses(record, model, gripper, settings)
+        labels = judge_poses(record, gripper, objects, poses, settings)
+        held.append(int((labels.label == 1).sum()))
+        hit.append(int(np.char.endswith(labels.reason, "_collision").sum()))
+        tried.append(len(labels))
+    return {
+        "scenes": len(records),
+        "unfiltered": cluster_bootstrap(held, tried).to_json(),
+        "colliding": cluster_bootstrap(hit, tried).to_json(),
+        "evaluations": (settings.sampler or SamplerSettings.of(model.info)).evaluations,
+    }
+
+
+def _model_of(run: Path) -> GraspModel:
+    return load_model(run / "model" if (run / "model" / "config.json").is_file() else run)
+
+
+def _training_facts(run: Path, model: GraspModel) -> dict[str, Any]:
+    """Poses and CPU time of the training, and its last validation, where they are known."""
+    counters = cast(dict[str, Any], model.info.get("counters", {}))
+    facts: dict[str, Any] = {
+        "parameters": sum(weight.numel() for weight in model.parameters()),
+        "poses": counters.get("poses"),
+        "cpu_seconds": round(float(counters.get("cpu_seconds", 0.0))),
+    }
+    losses = run / "losses.jsonl"
+    if losses.is_file():
+        last = json.loads(losses.read_text().splitlines()[-1])
+        facts["validation"] = {
+            "diffusion": last.get("validation_diffusion"),
+            "per_band": last.get("per_band"),
+            "per_gripper": last.get("per_gripper"),
+        }
+    return facts
+
+
+def comparison_table(content: dict[str, Any]) -> str:
+    """The result of `compare_models` as a Markdown table."""
+    grippers = content["grippers"]
+    head = ["model", "parameters", "poses", "CPU-s", "loss s < 0.1", "0.1 to 0.3", "over 0.3"]
+    head += [f"{name}: {what}" for name in grippers for what in ("holds", "collides")]
+    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    for row in content["rows"]:
+        bands = (row.get("validation") or {}).get("per_band") or {}
+        cells = [
+            row["model"],
+            f"{row['parameters'] / 1e6:.2f} M",
+            "-" if row["poses"] is None else f"{row['poses'] / 1e6:.2f} M",
+            f"{row['cpu_seconds']:,}",
+            *(f"{bands[b]:.3f}" if b in bands else "-" for b in ("low", "middle", "high")),
+        ]
+        for name in grippers:
+            for what in ("unfiltered", "colliding"):
+                rate = row[name][what]
+                low, high = rate["ci95"]
+                cells.append(f"{100 * rate['rate']:.0f} % [{100 * low:.0f}, {100 * high:.0f}]")
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
