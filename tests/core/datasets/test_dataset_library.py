@@ -194,11 +194,11 @@ def test_objects_are_drawn_evenly_over_sizes_and_categories():
 def test_the_models_page_tells_what_the_committed_recipes_hold():
     page = (MODELS / "README.md").read_text()
     found = {}
-    for path in MODELS.glob("scene_recipes_*.npz"):
+    for path in (MODELS / "scene_recipes").glob("*.npz"):
         records = read_recipes(path)
         labels = [entry for record in records for entry in record.labels.values()]
         held = np.concatenate([entry.kind[entry.label == 1] for entry in labels])
         untried = int((held == Kind.LIBRARY).sum())
         found[path.name] = (len(records), records[0].seed, f"{untried} of {len(held)}")
-    rows = re.findall(r"\| `(scene_\w+\.npz)` \| (\d+) \| (\d+) \|.*\| (\d+ of \d+) \|", page)
+    rows = re.findall(r"\| `(\w+\.npz)` \| (\d+) \| (\d+) \|.*\| (\d+ of \d+) \|", page)
     assert {name: (int(count), int(seed), held) for name, count, seed, held in rows} == found
