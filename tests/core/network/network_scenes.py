@@ -22,11 +22,10 @@ def scene(count: int = 300, seed: int = 0) -> SceneNodes:
     normals = rng.normal(size=(count, 3))
     normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
     gravity = np.array([0.0, 0.0, -1.0], np.float32)
+    on_plane = rng.random(count) < 0.3
     fine = rng.uniform(-0.15, 0.15, (4 * count, 3)).astype(np.float32)
-    surface = SurfacePoints(
-        fine, np.roll(np.tile(normals, (4, 1)), 1, 0), rng.random(4 * count) < 0.3
-    )
-    return SceneNodes(points, normals, rng.random(count) < 0.3, gravity, np.zeros(3), surface)
+    surface = SurfacePoints(fine, np.tile(normals[::-1], (4, 1)), rng.random(4 * count) < 0.3)
+    return SceneNodes(points, normals, on_plane, gravity, np.zeros(3), surface)
 
 
 def on_flat(layer: torch.nn.Module) -> Callable[[torch.Tensor], torch.Tensor]:

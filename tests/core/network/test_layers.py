@@ -137,6 +137,23 @@ def test_compiled_messages_equal_torch(irreps, lift):
         assert torch.allclose(plain, fused, atol=1e-5 * float(plain.abs().max()))
 
 
+def test_compiled_products_equal_torch():
+    pytest.importorskip("numba", reason="numba is missing: pip install 'megrasp-core[kernels]'")
+    torch.manual_seed(0)
+    product = SelfProduct(IRREPS)
+    flat = torch.randn(20, o3.Irreps(IRREPS).dim)
+    found = []
+    for compiled in (False, True):
+        product.compiled = compiled
+        product.zero_grad()
+        x = flat.clone().requires_grad_()
+        out = on_flat(product)(x)
+        (out * torch.linspace(-1.0, 1.0, out.numel()).view_as(out)).sum().backward()
+        found.append([out.detach(), x.grad, *(p.grad.clone() for p in product.parameters())])
+    for plain, fused in zip(*found, strict=True):
+        assert torch.allclose(plain, fused, atol=1e-5 * float(plain.abs().max()))
+
+
 def test_compiled_kernels_without_numba_say_what_to_do(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(InvalidRequestError, match=r"pip install 'megrasp-core\[kernels\]'"):

@@ -25,7 +25,7 @@ from .irreps import (
     scalars_of,
     sum_of,
 )
-from .kernels import fused_messages
+from .kernels import Coupling, can_compile, fused_messages, sparse_product
 
 SELF_PATHS = (
     (0, 0, 0), (1, 1, 0), (2, 2, 0),
@@ -136,7 +136,7 @@ class ReducedConvolution(nn.Module):
         """
         k = edges.index.shape[1]
         weights = self.radial(edges.basis)
-        if self.compiled and weights.dtype == torch.float32 and weights.device.type == "cpu":
+        if self.compiled and can_compile(weights):
             out0, out1, out2 = fused_messages(
                 scalars_of(sources),
                 sources.get(1),
@@ -195,6 +195,9 @@ class SelfProduct(nn.Module):
             columns.append(block.reshape(81, -1))
         self.coupling: Tensor
         self.register_buffer("coupling", torch.cat(columns, -1), persistent=False)
+        self._sparse = Coupling(self.coupling.view(9, 9, -1))
+        self.compiled = False
+        """Use compiled kernels where they can be used."""
 
     def __repr__(self) -> str:
         return f"SelfProduct({self.irreps_in} -> {self.irreps_out})"
@@ -202,17 +205,20 @@ class SelfProduct(nn.Module):
     def forward(self, features: Steerable) -> Steerable:
         """From `irreps_in` to `irreps_out`; channel c of path p is number `c * paths + p`."""
         left, right = (
-            torch.cat(list(mix(features).values()), -2).transpose(-1, -2).reshape(-1, 9)
-            for mix in (self.left, self.right)
+            torch.cat(list(mix(features).values()), -2) for mix in (self.left, self.right)
         )
-        outer = (left.unsqueeze(-1) * right.unsqueeze(-2)).flatten(-2)
-        product = outer @ self.coupling.to(outer.dtype)
-        parts = product.split((3, 12, 20), dim=-1)
-        n = len(features[0])
+        if self.compiled and can_compile(left):
+            product = sparse_product(left, right, self._sparse)
+        else:
+            left, right = (part.mT.reshape(-1, 9) for part in (left, right))
+            outer = (left.unsqueeze(-1) * right.unsqueeze(-2)).flatten(-2)
+            product = outer @ self.coupling.to(outer.dtype)
+            product = product.view(len(features[0]), self.channels, -1).mT
+        parts = product.split((3, 12, 20), dim=1)
         out: Steerable = {}
         for degree, (part, paths) in enumerate(zip(parts, (3, 4, 4), strict=True)):
-            part = part.reshape(n, self.channels * paths, 2 * degree + 1)
-            out[degree] = part.transpose(-1, -2)
+            part = part.unflatten(1, (paths, 2 * degree + 1))
+            out[degree] = part.permute(0, 2, 3, 1).flatten(-2)
         return out
 
 

@@ -1,8 +1,9 @@
-"""Compiled message passing: an optional twin of the torch code of `ReducedConvolution`.
+"""Compiled kernels: optional twins of the torch code of `ReducedConvolution` and `SelfProduct`.
 
-Torch writes every product of an edge to memory and reads it again for the sum; here a message is
-added up where it is made. Needs numba, `pip install 'megrasp-core[kernels]'`, no compiler; float32
-on a CPU, one thread. The torch code is the oracle.
+Torch writes every product of an edge to memory and reads it again for the sum, and multiplies the
+zeros of the coupling; here a message is added up where it is made, and zeros are left out. Needs
+numba, `pip install 'megrasp-core[kernels]'`, no compiler; float32 on a CPU, one thread. The torch
+code is the oracle.
 """
 
 from __future__ import annotations
@@ -28,6 +29,11 @@ def require_kernels() -> None:
             "compiled kernels were asked for and numba is not installed; expected it. Run `pip "
             "install 'megrasp-core[kernels]'`, or do without: training then takes longer."
         )
+
+
+def can_compile(tensor: Tensor) -> bool:
+    """Whether the kernels take it: float32 on a CPU."""
+    return tensor.dtype == torch.float32 and tensor.device.type == "cpu"
 
 
 def fused_messages(
@@ -169,5 +175,84 @@ def _kernels(sizes: Sizes) -> tuple[Callable[..., None], Callable[..., None]]:
                         up = y * g2[m, i, c2 + c]
                         aw[m, j, u2 + c] += f0[s, c] * up
                         a0[s, c] += weights[m, j, u2 + c] * up
+
+    return forward, backward
+
+
+def sparse_product(left: Tensor, right: Tensor, coupling: Coupling) -> Tensor:
+    """Channel-wise products `(N, K, c)`: sum of w left_i right_j over the entries (i, j, k, w).
+
+    Args:
+        left: `(N, D, c)`.
+        right: `(N, D, c)`.
+        coupling: the entries that are not zero.
+    """
+    return _Product.apply(left, right, coupling)  # type: ignore[return-value]
+
+
+class Coupling:
+    """A sparse tensor of three indices, with the kernels that are compiled for it.
+
+    Args:
+        dense: `(D, D, K)`.
+    """
+
+    def __init__(self, dense: Tensor) -> None:
+        self.size = dense.shape[2]
+        i, j, k = dense.nonzero(as_tuple=True)
+        values = dense[i, j, k].tolist()
+        self.entries = tuple(zip(i.tolist(), j.tolist(), k.tolist(), values, strict=True))
+
+
+class _Product(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, left, right, coupling):  # type: ignore[override]
+        left, right = left.contiguous(), right.contiguous()
+        out = left.new_zeros(len(left), coupling.size, left.shape[2])
+        forward, _ = _product_kernels(coupling.entries, left.shape[2])
+        forward(left.detach().numpy(), right.detach().numpy(), out.numpy())
+        ctx.save_for_backward(left, right)
+        ctx.coupling = coupling
+        return out
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor):  # type: ignore[override]
+        left, right = ctx.saved_tensors
+        ours = torch.zeros_like(left), torch.zeros_like(right)
+        _, backward = _product_kernels(ctx.coupling.entries, left.shape[2])
+        tensors = (left, right, gradient.contiguous(), *ours)
+        backward(*(t.detach().numpy() for t in tensors))
+        return (*ours, None)
+
+
+@functools.lru_cache(maxsize=64)
+def _product_kernels(
+    entries: tuple[tuple[int, int, int, float], ...], channels: int
+) -> tuple[Callable[..., None], Callable[..., None]]:
+    """Forward and backward for these entries and so many channels."""
+    import numba
+    import numpy as np
+
+    first, second, third = (np.array([e[n] for e in entries], np.int64) for n in range(3))
+    value = np.array([e[3] for e in entries], np.float32)
+    count = len(entries)
+    compiled = numba.njit(fastmath=True, nogil=True, boundscheck=False)
+
+    @compiled
+    def forward(left, right, out):
+        for n in range(left.shape[0]):
+            for e in range(count):
+                i, j, k, w = first[e], second[e], third[e], value[e]
+                for c in range(channels):
+                    out[n, k, c] += w * left[n, i, c] * right[n, j, c]
+
+    @compiled
+    def backward(left, right, g, a, b):
+        for n in range(left.shape[0]):
+            for e in range(count):
+                i, j, k, w = first[e], second[e], third[e], value[e]
+                for c in range(channels):
+                    a[n, i, c] += w * g[n, k, c] * right[n, j, c]
+                    b[n, j, c] += w * g[n, k, c] * left[n, i, c]
 
     return forward, backward

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from ..grippers import GripperTokens
 from ..pointcloud import SceneNodes, SurfacePoints
 from .config import ModelConfig
-from .convolution import ReducedConvolution
+from .convolution import ReducedConvolution, SelfProduct
 from .decoder import Decoder
 from .graph import SceneGraph, build_graph
 from .gripper_encoder import GripperCode, GripperEncoder
@@ -68,14 +68,14 @@ class GraspModel(nn.Module):
         return next(self.parameters()).dtype
 
     def use_kernels(self) -> None:
-        """Let compiled kernels do the message passing on a CPU; made at first use, in seconds.
+        """Let compiled kernels do messages and products on a CPU; made at first use, in seconds.
 
         Raises:
             InvalidRequestError: numba is missing.
         """
         require_kernels()
         for module in self.modules():
-            if isinstance(module, ReducedConvolution):
+            if isinstance(module, (ReducedConvolution, SelfProduct)):
                 module.compiled = True
 
     def encode_scene(self, nodes: SceneNodes, graph: SceneGraph | None = None) -> SceneField:
