@@ -16,9 +16,10 @@ from megrasp_core.network.convolution import (
     SelfProduct,
     harmonics,
 )
-from megrasp_core.network.decoder import distance_factors, nearest_nodes
+from megrasp_core.network.decoder import KEYS, distance_factors, nearest_nodes
 from megrasp_core.network.gripper_encoder import spread
 from megrasp_core.network.irreps import EquivariantLinear, multiplicities, pack, unpack
+from megrasp_core.network.kernels import nearest_points
 
 IRREPS = "6x0e+4x1o+3x2e"
 
@@ -182,6 +183,11 @@ def test_nearest_nodes_against_brute_force():
     wanted = distance.topk(12, largest=False).indices.sort(-1).values
     assert torch.equal(got, wanted)
     assert nearest_nodes(points[:7], probes, 7).shape == (5, 7)
+    pytest.importorskip("numba", reason="numba is missing: pip install 'megrasp-core[kernels]'")
+    assert torch.equal(nearest_points(points, probes, 12), wanted)
+    same = nearest_points(points[:1].expand(9, 3), probes, 4)
+    assert all(len(set(row)) == 4 for row in same.tolist()), "as many where all are as near"
+    assert nearest_points(points[:7], probes, 7).tolist() == [list(range(7))] * 5
 
 
 def test_distance_factors_give_minus_squared_distance():
@@ -190,8 +196,10 @@ def test_distance_factors_give_minus_squared_distance():
     near_q, near_k = distance_factors(q, k, 0.5)
     product = near_q @ near_k.transpose(1, 2)
     wanted = -(torch.cdist(q.expand(2, -1, -1), k) / 0.5).square()
-    assert torch.allclose(product[..., :-1], wanted[..., :-1], atol=1e-4)
-    assert torch.equal(product[..., -1], torch.zeros(2, 4))
+    assert torch.allclose(product[..., :6], wanted, atol=1e-4)
+    assert torch.equal(product[..., 6], torch.zeros(2, 4)), "gravity is everywhere"
+    assert product.shape[-1] % KEYS == 0
+    assert torch.equal(product[..., 7:].exp(), torch.zeros(2, 4, 9)), "the rest is nowhere"
 
 
 def test_selection_tokens_are_spread():

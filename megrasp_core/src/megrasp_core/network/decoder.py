@@ -22,7 +22,14 @@ from ..lie import wigner
 from .config import ModelConfig
 from .convolution import gathered
 from .gripper_encoder import Fourier, GripperCode
+from .kernels import can_compile, nearest_points
 from .scene_encoder import SceneField
+
+KEYS = 16
+"""Softmax over another number than a multiple of this takes four times as long on a CPU."""
+FAR = 1e6
+"""Squared distance, in units of the position scale, of keys that are there to make up the number:
+their weight is 0 exactly."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +42,7 @@ class NearNodes:
         gravity: `(P, 4)` gravity in the TCP frame and whether it is known.
         matrices: D(R^T) for l = 0, 1, 2.
         query: `(G, 5)` or `(P, G, 5)` and
-        key: `(P, S + 1, 5)`, the distances of gripper tokens and nodes (`distance_factors`).
+        key: `(P, S', 5)`, the distances of gripper tokens and nodes (`distance_factors`).
     """
 
     index: tuple[Tensor, ...]
@@ -176,6 +183,8 @@ class Decoder(nn.Module):
         )
         self.score = nn.Linear(width, 1)
         self.dim = 2 * width
+        self.compiled = False
+        """Use compiled kernels where they can be used."""
 
     def near_nodes(
         self, field: SceneField, code: GripperCode, rotation: Tensor, translation: Tensor
@@ -186,17 +195,13 @@ class Decoder(nn.Module):
             probes = code.probes @ inverse + translation[:, None]
             index, places = [], []
             for points, count in zip(field.points, self.config.scene_tokens, strict=True):
-                near = nearest_nodes(points, probes, min(count, len(points)))
+                near = self._nearest(points, probes, min(count, len(points)))
                 index.append(near)
                 places.append((gathered(points, near) - translation[:, None]) @ rotation)
             place = torch.cat(places, 1)
             gravity = field.gravity @ rotation
             known = field.gravity.square().sum().expand(len(gravity), 1)
-            near_q, near_k = distance_factors(
-                code.points,
-                torch.cat([place, torch.zeros_like(place[:, :1])], 1),
-                self.fourier.scale,
-            )
+            near_q, near_k = distance_factors(code.points, place, self.fourier.scale)
             return NearNodes(
                 tuple(index),
                 self.fourier(place),
@@ -206,8 +211,13 @@ class Decoder(nn.Module):
                 near_k,
             )
 
+    def _nearest(self, points: Tensor, probes: Tensor, count: int) -> Tensor:
+        find = nearest_points if self.compiled and can_compile(points) else nearest_nodes
+        return find(points, probes, count)
+
     def scene_tokens(self, field: SceneField, near: NearNodes) -> Tensor:
-        """Tokens `(P, S, width)` of the near nodes and, last, of gravity.
+        """Tokens `(P, S', width)` of the near nodes and of gravity, then zeros that nobody
+        attends to.
 
         The embedding of a feature that was turned into the TCP frame is the feature times a
         matrix made of embedding and rotation: W D(R^T) f. So a pose's matrix is made once and no
@@ -227,7 +237,11 @@ class Decoder(nn.Module):
                     self.embed_feature, field.features, near.index, positions, strict=True
                 )
             ]
-            return torch.cat([*tokens, self.embed_gravity(near.gravity)[:, None]], 1)
+            gravity = self.embed_gravity(near.gravity)[:, None]
+            rest = near.key.shape[1] - near.position.shape[1] - 1
+            return torch.cat(
+                [*tokens, gravity, gravity.new_zeros(len(gravity), rest, gravity.shape[2])], 1
+            )
 
     def _turned(self, weight: Tensor, near: NearNodes) -> Tensor:
         """Per pose the transposed product of an embedding and D(R^T), `(P, dim, width)`; weight:
@@ -284,17 +298,24 @@ class Decoder(nn.Module):
 
 
 def distance_factors(queries: Tensor, keys: Tensor, scale: float) -> tuple[Tensor, Tensor]:
-    """Factors `(..., G, 5)`, `(P, S, 5)` whose inner products are -|q - k|^2 in units of `scale`.
+    """Factors `(..., G, 5)`, `(P, S', 5)` whose inner products are -|q - k|^2 in units of `scale`.
 
-    The last key is the gravity token: it has no place and gets a zero factor, so that no head
-    loses it.
+    After the keys come that of the gravity token, which has no place and gets a zero factor, so
+    that no head loses it, and some infinitely far away, so that their number is a multiple of
+    `KEYS`.
+
+    Args:
+        queries: `(..., G, 3)` m.
+        keys: `(P, S, 3)` m.
+        scale: length (m).
     """
     q, k = queries / scale, keys / scale
     q2, k2 = q.square().sum(-1, keepdim=True), k.square().sum(-1, keepdim=True)
     near_q = torch.cat([2 * q, -q2, -torch.ones_like(q2)], -1)
     near_k = torch.cat([k, torch.ones_like(k2), k2], -1)
-    last = torch.arange(keys.shape[1], device=keys.device) == keys.shape[1] - 1
-    return near_q, near_k.masked_fill(last[:, None], 0.0)
+    rest = k.new_zeros(len(keys), 1 + -(keys.shape[1] + 1) % KEYS, 5)
+    rest[:, 1:, 4] = FAR
+    return near_q, torch.cat([near_k, rest], 1)
 
 
 def nearest_nodes(points: Tensor, probes: Tensor, count: int) -> Tensor:

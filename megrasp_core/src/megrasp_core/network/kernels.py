@@ -1,4 +1,4 @@
-"""Compiled kernels: optional twins of the torch code of `ReducedConvolution` and `SelfProduct`.
+"""Compiled kernels: optional twins of torch code in convolution and decoder.
 
 Torch writes every product of an edge to memory and reads it again for the sum, and multiplies the
 zeros of the coupling; here a message is added up where it is made, and zeros are left out. Needs
@@ -256,3 +256,43 @@ def _product_kernels(
                     b[n, j, c] += w * g[n, k, c] * left[n, i, c]
 
     return forward, backward
+
+
+def nearest_points(points: Tensor, probes: Tensor, count: int) -> Tensor:
+    """Indices `(P, count)` of the points `(n, 3)` nearest to any of the probes `(P, S, 3)` of a
+    pose, in ascending order.
+    """
+    out = torch.empty(len(probes), count, dtype=torch.long)
+    columns, probes = points.detach().T.contiguous(), probes.detach().contiguous()
+    _nearest_kernel()(columns.numpy(), probes.numpy(), out.numpy())
+    return out
+
+
+@functools.lru_cache(maxsize=1)
+def _nearest_kernel() -> Callable[..., None]:
+    import numba
+    import numpy as np
+
+    @numba.njit(fastmath=True, nogil=True, boundscheck=False)
+    def nearest(columns, probes, out):
+        n, count = columns.shape[1], out.shape[1]
+        least = np.empty(n, np.float32)
+        for p in range(probes.shape[0]):
+            for s in range(probes.shape[1]):
+                x, y, z = probes[p, s, 0], probes[p, s, 1], probes[p, s, 2]
+                for i in range(n):
+                    a, b, c = columns[0, i] - x, columns[1, i] - y, columns[2, i] - z
+                    d = a * a + b * b + c * c
+                    least[i] = d if s == 0 else min(least[i], d)
+            border = np.partition(least, count - 1)[count - 1]
+            found = 0
+            for i in range(n):
+                if least[i] < border:
+                    out[p, found] = i
+                    found += 1
+            for i in range(n):
+                if found < count and least[i] == border:
+                    out[p, found] = i
+                    found += 1
+
+    return nearest

@@ -68,14 +68,15 @@ class GraspModel(nn.Module):
         return next(self.parameters()).dtype
 
     def use_kernels(self) -> None:
-        """Let compiled kernels do messages and products on a CPU; made at first use, in seconds.
+        """Let compiled kernels do on a CPU what they do faster than torch; they are made at first
+        use, in half a minute.
 
         Raises:
             InvalidRequestError: numba is missing.
         """
         require_kernels()
         for module in self.modules():
-            if isinstance(module, (ReducedConvolution, SelfProduct)):
+            if isinstance(module, (ReducedConvolution, SelfProduct, Decoder)):
                 module.compiled = True
 
     def encode_scene(self, nodes: SceneNodes, graph: SceneGraph | None = None) -> SceneField:
