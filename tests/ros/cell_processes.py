@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import rclpy
@@ -21,6 +21,7 @@ from rclpy.task import Future
 from megrasp_core.objects import ObjectModel, save_object
 from megrasp_ros.waiting import wait_for_future
 
+T = TypeVar("T")
 WAIT = 240.0
 """Longest wait (s). Imports take 5 s of CPU, which is minutes on a very busy machine."""
 
@@ -139,26 +140,28 @@ def spinning_node(domain: int, name: str = "test_client") -> Iterator[Node]:
         context.try_shutdown()
 
 
-def sent(node: Node, send: Callable[[], Future]) -> Future:
-    """The future that `send` returns, `send` being called by the node's executor.
+def in_executor(node: Node, call: Callable[[], T]) -> T:
+    """What `call` returns, called by the node's executor.
 
     For every goal, cancellation and request: `megrasp_ros.waiting.send_in_executor` says why. That
-    one waits for the answer as well; here a test can do something else meanwhile.
+    one waits for the answer as well; here a test can do something else meanwhile. And for what is
+    destroyed: an executor that meets a destroyed handle while it collects what to wait for ends.
     """
     assert node.executor is not None
-    outcome: list[Future | Exception] = []
+    outcome: list[T] = []
+    errors: list[Exception] = []
 
     def attempt() -> None:
         # An exception in a task would end the thread that spins.
         try:
-            outcome.append(send())
+            outcome.append(call())
         except Exception as error:
-            outcome.append(error)
+            errors.append(error)
 
     wait_for_future(node.executor.create_task(attempt), WAIT, context=node.context)
+    if errors:
+        raise errors[0]
     assert outcome, "the node does not spin"
-    if isinstance(outcome[0], Exception):
-        raise outcome[0]
     return outcome[0]
 
 

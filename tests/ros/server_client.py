@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from cell_processes import WAIT, Processes, processes, result, sent, spinning_node
+from cell_processes import WAIT, Processes, in_executor, processes, result, spinning_node
 from geometry_msgs.msg import PoseArray
 from megrasp_msgs.action import GenerateGrasps
 from megrasp_msgs.msg import GraspArray, GripperInfo
@@ -72,7 +72,7 @@ class Client:
     def start(self, request) -> Future:
         """Send a service request and return its future."""
         kind = next(kind for kind in self._services if isinstance(request, kind.Request))
-        return sent(self.node, lambda: self._services[kind].call_async(request))
+        return in_executor(self.node, lambda: self._services[kind].call_async(request))
 
     def call(self, request, seconds: float = WAIT):
         """Send a service request and return the answer."""
@@ -99,18 +99,20 @@ class Client:
         """Send an action goal; return its handle once it is accepted."""
         goal = GenerateGrasps.Goal(**fields)
         handle = result(
-            sent(self.node, lambda: self.action.send_goal_async(goal, feedback_callback=feedback))
+            in_executor(
+                self.node, lambda: self.action.send_goal_async(goal, feedback_callback=feedback)
+            )
         )
         assert handle.accepted
         return handle
 
     def outcome(self, handle: ClientGoalHandle) -> Future:
         """Ask for the result of a goal and return its future."""
-        return sent(self.node, handle.get_result_async)
+        return in_executor(self.node, handle.get_result_async)
 
     def cancel(self, handle: ClientGoalHandle) -> None:
         """Ask for a goal to be cancelled."""
-        sent(self.node, handle.cancel_goal_async)
+        in_executor(self.node, handle.cancel_goal_async)
 
 
 @contextmanager
@@ -175,7 +177,7 @@ def camera(
     finally:
         stop.set()
         thread.join()
-        client.node.destroy_publisher(publisher)
+        in_executor(client.node, lambda: client.node.destroy_publisher(publisher))
 
 
 def seconds_since(start: float) -> float:

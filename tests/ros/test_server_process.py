@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from cell_processes import WAIT, processes, result, sent
+from cell_processes import WAIT, in_executor, processes, result
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from megrasp_msgs.msg import ErrorCode, OrientedBox
@@ -152,8 +152,8 @@ def test_a_lifecycle_manager_can_own_the_node_and_sigint_ends_it_at_work(tmp_pat
 
         def go(transition: int) -> int:
             request = ChangeState.Request(transition=Transition(id=transition))
-            assert result(sent(client.node, lambda: change.call_async(request))).success
-            state = result(sent(client.node, lambda: get.call_async(GetState.Request())))
+            assert result(in_executor(client.node, lambda: change.call_async(request))).success
+            state = result(in_executor(client.node, lambda: get.call_async(GetState.Request())))
             return state.current_state.id
 
         def answer() -> int:
