@@ -9,15 +9,19 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 import rclpy
 from ament_index_python.packages import get_package_prefix
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.task import Future
 
 from megrasp_core.objects import ObjectModel, save_object
+from megrasp_ros.waiting import wait_for_future
 
+T = TypeVar("T")
 WAIT = 240.0
 """Longest wait (s). Imports take 5 s of CPU, which is minutes on a very busy machine."""
 
@@ -134,6 +138,39 @@ def spinning_node(domain: int, name: str = "test_client") -> Iterator[Node]:
         thread.join(timeout=5.0)
         node.destroy_node()
         context.try_shutdown()
+
+
+def in_executor(node: Node, call: Callable[[], T]) -> T:
+    """What `call` returns, called by the node's executor.
+
+    For every goal, cancellation and request: `megrasp_ros.waiting.send_in_executor` says why. That
+    one waits for the answer as well; here a test can do something else meanwhile. And for what is
+    destroyed: an executor that meets a destroyed handle while it collects what to wait for ends.
+    """
+    assert node.executor is not None
+    outcome: list[T] = []
+    errors: list[Exception] = []
+
+    def attempt() -> None:
+        # An exception in a task would end the thread that spins.
+        try:
+            outcome.append(call())
+        except Exception as error:
+            errors.append(error)
+
+    wait_for_future(node.executor.create_task(attempt), WAIT, context=node.context)
+    if errors:
+        raise errors[0]
+    assert outcome, "the node does not spin"
+    return outcome[0]
+
+
+def result(future: Future, seconds: float = WAIT) -> Any:
+    """What a future brings; fails after `seconds`."""
+    done = threading.Event()
+    future.add_done_callback(lambda _: done.set())
+    assert done.wait(seconds), "no answer in time"
+    return future.result()
 
 
 def until(condition: Callable[[], bool], seconds: float = WAIT) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
+from cell_processes import in_executor
 from server_client import MOUNTED, MOUNTING, Client, running_server
 
 
@@ -36,5 +37,5 @@ def server(running: tuple) -> Iterator[Client]:
     assert client.set_gripper("robotiq_2f85").success
     yield client
     for subscription in set(client.node.subscriptions) - before:
-        client.node.destroy_subscription(subscription)
+        in_executor(client.node, lambda s=subscription: client.node.destroy_subscription(s))
     assert processes.running["grasp_server"].poll() is None, "the node died"

@@ -11,15 +11,17 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from cell_processes import WAIT, Processes, processes, spinning_node
+from cell_processes import WAIT, Processes, in_executor, processes, result, spinning_node
 from geometry_msgs.msg import PoseArray
 from megrasp_msgs.action import GenerateGrasps
 from megrasp_msgs.msg import GraspArray, GripperInfo
 from megrasp_msgs.srv import ListGrippers, ReloadGrippers, SetGripper, SynthesizeGrasps
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.task import Future
 from sensor_msgs.msg import PointCloud2
 
 from megrasp_ros.cell_messages import cloud_message
@@ -39,14 +41,6 @@ MOUNTING = [0.0, 0.0, 0.012, 0.0, 0.0, 0.38268343, 0.92387953]
 def domain(offset: int) -> int:
     """Return a ROS domain of this test session, apart from that of others on the machine."""
     return 20 + (os.getpid() * 7 + offset) % 180
-
-
-def result(future, seconds: float = WAIT):
-    """Return what a future brings; fails after `seconds`."""
-    done = threading.Event()
-    future.add_done_callback(lambda _: done.set())
-    assert done.wait(seconds), "no answer in time"
-    return future.result()
 
 
 class Client:
@@ -75,10 +69,10 @@ class Client:
         # Services are there before the model is loaded; the first answer comes after that.
         self.call(ListGrippers.Request(), START)
 
-    def start(self, request):
+    def start(self, request) -> Future:
         """Send a service request and return its future."""
         kind = next(kind for kind in self._services if isinstance(request, kind.Request))
-        return self._services[kind].call_async(request)
+        return in_executor(self.node, lambda: self._services[kind].call_async(request))
 
     def call(self, request, seconds: float = WAIT):
         """Send a service request and return the answer."""
@@ -101,14 +95,24 @@ class Client:
         answer = self.call(SetParameters.Request(parameters=messages))
         return [each.reason for each in answer.results if not each.successful]
 
-    def goal(self, *, feedback=None, **fields):
+    def goal(self, *, feedback=None, **fields) -> ClientGoalHandle:
         """Send an action goal; return its handle once it is accepted."""
-        future = self.action.send_goal_async(
-            GenerateGrasps.Goal(**fields), feedback_callback=feedback
+        goal = GenerateGrasps.Goal(**fields)
+        handle = result(
+            in_executor(
+                self.node, lambda: self.action.send_goal_async(goal, feedback_callback=feedback)
+            )
         )
-        handle = result(future)
         assert handle.accepted
         return handle
+
+    def outcome(self, handle: ClientGoalHandle) -> Future:
+        """Ask for the result of a goal and return its future."""
+        return in_executor(self.node, handle.get_result_async)
+
+    def cancel(self, handle: ClientGoalHandle) -> None:
+        """Ask for a goal to be cancelled."""
+        in_executor(self.node, handle.cancel_goal_async)
 
 
 @contextmanager
@@ -173,7 +177,7 @@ def camera(
     finally:
         stop.set()
         thread.join()
-        client.node.destroy_publisher(publisher)
+        in_executor(client.node, lambda: client.node.destroy_publisher(publisher))
 
 
 def seconds_since(start: float) -> float:

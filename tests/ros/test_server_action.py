@@ -5,13 +5,12 @@ from __future__ import annotations
 import threading
 import time
 
-from cell_processes import until
+from cell_processes import result, until
 from megrasp_msgs.msg import ErrorCode
 from megrasp_msgs.srv import ListGrippers, ReloadGrippers, SetGripper, SynthesizeGrasps
 from server_client import (
     Client,
     cloud_of,
-    result,
     seconds_since,
     still_serves,
 )
@@ -22,7 +21,7 @@ def test_the_action_gives_feedback_and_the_services_result(server: Client) -> No
     handle = server.goal(
         num_grasps=3, cloud=cloud_of(server), feedback=lambda m: heard.append(m.feedback)
     )
-    answer = result(handle.get_result_async())
+    answer = result(server.outcome(handle))
     assert answer.status == 4  # GoalStatus.STATUS_SUCCEEDED
     assert len(answer.result.grasps.grasps) == 3
     assert until(lambda: any(each.phase == "check" for each in heard))
@@ -40,10 +39,10 @@ def test_cancelling_stops_within_one_step(server: Client) -> None:
         cloud=cloud_of(server),
         feedback=lambda m: m.feedback.phase == "sample" and heard.set(),
     )
-    finished = handle.get_result_async()
+    finished = server.outcome(handle)
     assert heard.wait(20)
     start = time.monotonic()
-    handle.cancel_goal_async()
+    server.cancel(handle)
     answer = result(finished)
     assert seconds_since(start) < 2 * 0.25 + 1.0
     assert answer.status == 5  # GoalStatus.STATUS_CANCELED
@@ -56,10 +55,10 @@ def test_waiting_for_a_cloud_can_be_cancelled(server: Client) -> None:
     assert not server.parameters(cloud_timeout=60.0)
     try:
         handle = server.goal(num_grasps=3)
-        finished = handle.get_result_async()
+        finished = server.outcome(handle)
         time.sleep(0.2)
         start = time.monotonic()
-        handle.cancel_goal_async()
+        server.cancel(handle)
         assert result(finished).result.error_code == ErrorCode.CANCELLED
         assert seconds_since(start) < 2.0
     finally:
@@ -70,21 +69,20 @@ def test_everything_else_is_busy_meanwhile_unless_it_preempts(server: Client) ->
     assert not server.parameters(model="slow")
     heard = threading.Event()
     first = server.goal(num_grasps=1, cloud=cloud_of(server), feedback=lambda _: heard.set())
-    first_result = first.get_result_async()
+    first_result = server.outcome(first)
     assert heard.wait(20)
     answers = [
         server.call(SynthesizeGrasps.Request(num_grasps=1, cloud=cloud_of(server))),
         server.call(SetGripper.Request(gripper_name="robotiq_3f")),
         server.call(ReloadGrippers.Request()),
-        result(server.goal(num_grasps=1, cloud=cloud_of(server)).get_result_async()).result,
+        result(server.outcome(server.goal(num_grasps=1, cloud=cloud_of(server)))).result,
     ]
     assert [answer.error_code for answer in answers] == [ErrorCode.BUSY] * 4
     assert "generate_grasps" in answers[0].error_msg
     assert server.call(ListGrippers.Request()).active == "robotiq_2f85"
     assert not server.parameters(model="quick")
-    second = result(
-        server.goal(num_grasps=1, cloud=cloud_of(server), preempt=True).get_result_async()
-    )
+    preempting = server.goal(num_grasps=1, cloud=cloud_of(server), preempt=True)
+    second = result(server.outcome(preempting))
     assert second.result.success, second.result.error_msg
     assert result(first_result).result.error_code == ErrorCode.CANCELLED
     assert still_serves(server)

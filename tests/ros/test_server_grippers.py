@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from cell_processes import until
+from cell_processes import in_executor, until
 from megrasp_msgs.msg import ErrorCode, GraspArray
 from megrasp_msgs.srv import ListGrippers, ReloadGrippers
 from server_client import (
@@ -115,7 +115,7 @@ def test_another_tool_on_the_arm_is_error_203(server: Client) -> None:
     finally:
         publisher.publish(String(data=""))
         assert until(lambda: still_serves(server), 10.0)
-        server.node.destroy_publisher(publisher)
+        in_executor(server.node, lambda: server.node.destroy_publisher(publisher))
 
 
 def test_a_missing_tool_changer_is_error_202(server: Client) -> None:
@@ -137,4 +137,4 @@ def test_a_missing_tool_changer_is_error_202(server: Client) -> None:
         assert server.set_gripper("robotiq_2f85").success
     finally:
         server.parameters(tool_changer="")
-        server.node.destroy_service(service)
+        in_executor(server.node, lambda: server.node.destroy_service(service))

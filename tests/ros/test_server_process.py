@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from cell_processes import WAIT, processes
+from cell_processes import WAIT, in_executor, processes, result
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from megrasp_msgs.msg import ErrorCode, OrientedBox
@@ -20,7 +20,6 @@ from server_client import (
     START,
     Client,
     domain,
-    result,
     running_server,
     seconds_since,
     stamped_cloud,
@@ -120,8 +119,8 @@ def check_real_answers(client: Client, request: dict) -> None:
     nothing = client.synthesize(**request, region=far)
     assert nothing.error_code == ErrorCode.EMPTY_REGION, nothing.error_msg
     handle = client.goal(**request)
-    finished = handle.get_result_async()
-    handle.cancel_goal_async()
+    finished = client.outcome(handle)
+    client.cancel(handle)
     assert result(finished).result.error_code in (ErrorCode.CANCELLED, *found_or_not)
 
 
@@ -153,8 +152,9 @@ def test_a_lifecycle_manager_can_own_the_node_and_sigint_ends_it_at_work(tmp_pat
 
         def go(transition: int) -> int:
             request = ChangeState.Request(transition=Transition(id=transition))
-            assert result(change.call_async(request)).success
-            return result(get.call_async(GetState.Request())).current_state.id
+            assert result(in_executor(client.node, lambda: change.call_async(request))).success
+            state = result(in_executor(client.node, lambda: get.call_async(GetState.Request())))
+            return state.current_state.id
 
         def answer() -> int:
             return client.synthesize(num_grasps=1, cloud=cloud, timeout=0.3).error_code

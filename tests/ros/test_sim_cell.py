@@ -1,7 +1,5 @@
 """sim_cell as a real process over Fast DDS: camera, tool change, execution, refusals."""
 
-import threading
-
 import numpy as np
 import pytest
 import rclpy
@@ -54,7 +52,10 @@ class Cell:
         assert self.execution.wait_for_server(timeout_sec=WAIT)
 
     def change_tool(self, name: str) -> ChangeTool.Response:
-        return result(self.change.call_async(ChangeTool.Request(gripper_name=name)))
+        request = ChangeTool.Request(gripper_name=name)
+        answer = send_in_executor(self.node, lambda: self.change.call_async(request), WAIT)
+        assert answer is not None, "no answer in time"
+        return answer
 
     def newest(self, kind: type):
         """A message that was stamped after now."""
@@ -79,13 +80,6 @@ class Cell:
         handle = send_in_executor(self.node, send, WAIT)
         assert handle.accepted
         return handle
-
-
-def result(future):
-    done = threading.Event()
-    future.add_done_callback(lambda _: done.set())
-    assert done.wait(WAIT), "no answer in time"
-    return future.result()
 
 
 @pytest.fixture(scope="module")

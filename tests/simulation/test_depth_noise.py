@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -61,19 +59,36 @@ def noisy(noise: DepthNoise, view: View, seed: int = 0) -> NDArray[np.float32]:
     return noise.apply(view, np.random.default_rng(seed))
 
 
-def test_the_default_camera_is_what_models_were_trained_with() -> None:
-    """Another digest: clouds of all scenes change, and models must be trained again."""
+DEFAULT_CAMERA = {
+    0: """314
+        8451 8466 8492 8502 8502 8497 8497 8466 8476    0 7007 6994 6997 6994 7001 6990
+           0    0    0    0    0    0    0    0    0 8502 8517 8507 8512 8476 8486 8476
+        8497    0 8497    0    0    0 8567 8567    0    0 8552    0    0    0    0 8567
+           0    0    0 8466    0 8451 8471    0 8552 8542    0    0    0 8527    0    0""",
+    7: """226
+        8562 8481 8527 8497 8492 8497 8502 8497    0 7464 6997 6997 6997 7004 7004 7011
+        7001 7014 6997 6990 6983 7001 6987    0 8512 8512 8507 8481 8486 8471 8486 8497
+           0    0 8507    0    0    0 8466 8431    0 8446    0    0    0 8522 8446 8502
+        8532 8497    0 8497 8512 8497 8512 8502 8421    0 8471    0    0 8512 8476    0""",
+}
+"""By seed: how many pixels are lost; two rows of the picture, in tenths of a millimetre."""
+
+
+@pytest.mark.parametrize(("seed", "recorded"), DEFAULT_CAMERA.items())
+def test_the_default_camera_is_what_models_were_trained_with(seed: int, recorded: str) -> None:
+    """Another picture: clouds of all scenes change, and models must be trained again."""
     rows, columns = np.mgrid[0:24, 0:32]
     plate = (columns > 8) & (columns < 24) & (rows > 8) & (rows < 20)
     depth = np.where(rows < 4, 0, np.where(plate, 0.7, 0.85)).astype(np.float32)
     owner = np.where(plate, columns > 15, -1).astype(np.int32)
     incidence = np.where(rows == 22, 0.2, np.where(columns < 3, 0.3, 0.99)).astype(np.float32)
-    view = View(depth, owner, incidence)
-    digests = []
-    for seed in (0, 7):
-        tenths = np.rint(1e4 * noisy(DepthNoise(), view, seed)).astype("<i2")
-        digests.append(hashlib.sha256(tenths.tobytes()).hexdigest()[:16])
-    assert digests == ["5c4abcbd037646d0", "df43e13a766dc1ba"]
+    found = noisy(DepthNoise(), View(depth, owner, incidence), seed)
+    lost, *tenths = map(int, recorded.split())
+    assert (found == 0).sum() == lost
+    # Not a digest: where a depth lies on the border of two steps, the last bit, which is another
+    # on another processor, decides. Of 64 pixels it has never been one here; two are no accident.
+    off = np.abs(1e4 * found[[14, 22]].ravel() - tenths) > 1.0
+    assert off.sum() <= 1
 
 
 @pytest.mark.parametrize("noise", PRESETS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from made_library import made_library, made_set
@@ -71,17 +72,24 @@ def test_how_far_failures_lie_from_successes():
     assert franka["success_to_success"] == pytest.approx(0.01)
 
 
+def assert_alike(written: Any, found: Any) -> None:
+    """Equal but for the last digits of means and medians, which are others on other processors."""
+    if isinstance(found, dict):
+        assert written.keys() == found.keys()
+        for key, value in found.items():
+            assert_alike(written[key], value)
+    elif isinstance(found, float):
+        assert written == pytest.approx(found, rel=1e-9)
+    else:
+        assert written == found
+
+
 def test_the_committed_card_and_its_figures_are_those_of_the_committed_library():
     """Sizes and terms aside, which need the outside objects."""
-    text = (LIBRARY / "stats.json").read_text()
-    counts = library_stats(load_library(LIBRARY))
-    told, found = (
-        json.loads(content, parse_float=lambda number: round(float(number), 6))
-        for content in (text, json.dumps(counts))
-    )
+    written = json.loads((LIBRARY / "stats.json").read_text())
+    found = json.loads(json.dumps(library_stats(load_library(LIBRARY))))
     for key in set(found) - {"sizes", "terms"}:
-        assert told[key] == found[key], key
-    written = json.loads(text)
+        assert_alike(written[key], found[key])
     card = (LIBRARY / "README.md").read_text()
     command = card.partition("how it was packed:\n\n```\n")[2].partition("\n")[0]
     assert card == library_card(written, command)

@@ -86,7 +86,7 @@ def scenes(
     seed: int = 0,
 ) -> int:
     """Build labelled scenes; a data set that exists is continued, the same seed gives the same
-    scene.
+    scene on one machine.
 
     Try: megrasp data scenes --out data/scenes --library data/library -n 500 --workers 2
 

@@ -148,8 +148,11 @@ def read_recipes(path: str | Path) -> list[SceneRecord]:
 
 
 def with_cloud(recipe: SceneRecord, config: SceneConfig, objects: ObjectSet) -> SceneRecord:
-    """The record of a recipe, its cloud rendered from the seed; equal to the original's with the
-    same config.
+    """The record of a recipe, its cloud rendered from the seed.
+
+    With the same config the cloud is the original's bit for bit on the machine that made it. On
+    another processor the last bits of depths differ, and with them some points; in bins the noise
+    may be drawn anew: docs/data.md says by how much. Poses, camera and labels are the same.
     """
     layout = Layout(
         recipe.object_names,

@@ -32,7 +32,8 @@ def build_scene(
 ) -> SceneRecord:
     """Makes one scene: settles objects, looks from above, labels grasps for every gripper.
 
-    The same seed, config, library and objects give the same record bit for bit.
+    The same seed, config, library and objects give the same record, bit for bit on one machine. On
+    another processor the heap may come to rest otherwise, and a verdict may differ.
 
     Args:
         seed: of the scene.

@@ -109,7 +109,8 @@ def run_scene(
     index: int,
     on_stage: Callable[[Synthesis, Cloud, SceneOutcome], None] | None = None,
 ) -> SceneOutcome:
-    """Run one scene of a protocol; the same settings and index give the same scene.
+    """Run one scene of a protocol; on one machine the same settings and index give the same
+    scene.
 
     Args:
         settings: the run.

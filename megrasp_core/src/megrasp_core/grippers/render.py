@@ -41,8 +41,8 @@ class SurfaceSample:
 
 
 def render_cloud(meshes: Sequence[Mesh], count: int, seed: int) -> SurfaceSample:
-    """Return `count` evenly spread points of the outer surface; the same seed gives the same
-    points.
+    """Return `count` evenly spread points of the outer surface; on one machine the same seed gives
+    the same points.
 
     Args:
         meshes: (vertices (V, 3), faces (F, 3)) of the posed geoms, metres. Very many triangles

@@ -5,8 +5,8 @@ It plays the robot of DESIGN section 7 (`binpick`) for the demo, the evaluation 
 the scene as the attempt leaves it, takes what was lifted out of the bin, and changes tools. No ROS
 here.
 
-A cell belongs to one thread at a time: call it from one worker. The same seed, objects and calls
-give the same scenes and clouds.
+A cell belongs to one thread at a time: call it from one worker. On one machine the same seed,
+objects and calls give the same scenes and clouds.
 """
 
 from __future__ import annotations

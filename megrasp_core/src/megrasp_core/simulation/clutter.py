@@ -96,8 +96,9 @@ def settle(
 
     Objects that leave the bin (centre outside its inner edges) or the table square are dropped
     from the scene. In a tilted bin they settle in its frame, with gravity tilted instead. The same
-    objects, generator state and settings give the same scene. A scene that fails the checks is
-    drawn anew up to `settings.attempts` times; the last one is returned with ok False.
+    objects, generator state and settings give the same scene on one machine; on another processor
+    contacts amplify the last bit, to millimetres at times. A scene that fails the checks is drawn
+    anew up to `settings.attempts` times; the last one is returned with ok False.
     """
     settings = settings or ClutterSettings()
     area = bin.inner[:2] if bin is not None else (2 * settings.table_edge,) * 2
