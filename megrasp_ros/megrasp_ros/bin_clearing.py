@@ -33,6 +33,7 @@ from megrasp_ros.clearing_client import ClearingClient, SystemFailure
 from megrasp_ros.clearing_parameters import ClearingParameters, declare_clearing_parameters
 from megrasp_ros.clearing_pictures import ClearingPictures
 from megrasp_ros.conversions import box_from_message, matrix_from_pose, pose_from_matrix
+from megrasp_ros.spinning import spin
 
 TRANSIENT = (ErrorCode.BUSY, ErrorCode.NO_CLOUD, ErrorCode.STALE_CLOUD, ErrorCode.TOOL_MISMATCH)
 """Errors that pass by themselves: a job ends, a cloud or the identity of the new tool arrives."""
@@ -242,4 +243,4 @@ def _run() -> int:
 
 def _spin(executor: SingleThreadedExecutor) -> None:
     with contextlib.suppress(ExternalShutdownException):
-        executor.spin()
+        spin(executor)

@@ -13,6 +13,8 @@ from rclpy.node import Node
 
 from megrasp_core.errors import MegraspError
 
+from .spinning import spin
+
 
 def run_node(make: Callable[[], Node], *, threads: int = 4) -> None:
     """Makes the node, spins it until Ctrl-C or SIGTERM, and exits with 0.
@@ -27,7 +29,7 @@ def run_node(make: Callable[[], Node], *, threads: int = 4) -> None:
         node = make()
         executor = MultiThreadedExecutor(num_threads=threads)
         executor.add_node(node)
-        executor.spin()
+        spin(executor)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except (MegraspError, ParameterException) as error:

@@ -260,7 +260,7 @@ def _product_kernels(
 
 def nearest_points(points: Tensor, probes: Tensor, count: int) -> Tensor:
     """Indices `(P, count)` of the points `(n, 3)` nearest to any of the probes `(P, S, 3)` of a
-    pose, in ascending order.
+    pose, in no order.
     """
     out = torch.empty(len(probes), count, dtype=torch.long)
     columns, probes = points.detach().T.contiguous(), probes.detach().contiguous()
