@@ -40,7 +40,6 @@ def compare(
     """
     import torch
 
-    from ..datasets import SceneDataset
     from ..evaluation.sample_rates import compare_models, comparison_table
 
     if not models or grasps < 1:
@@ -52,7 +51,7 @@ def compare(
     with progress_bar(len(models) * len(gripper), "compare") as bar:
         content = compare_models(
             models,
-            SceneDataset(data),
+            data,
             gripper,
             grasps=grasps,
             seed=seed,

@@ -4,26 +4,28 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
 from ..datasets import ObjectSet, SceneDataset, SceneRecord
-from ..diffusion import SamplerSettings
+from ..diffusion import NoiseSchedule, SamplerSettings
 from ..errors import DataError
 from ..grippers import load_gripper
 from ..machine import processor
 from ..network import GraspModel, load_model
+from ..pointcloud import SceneSettings
+from ..training import TrainConfig, TrainingEntry, read_entries, validate, validation_pairs
 from ..training.model_samples import SampleSettings, draw_poses, judge_poses
+from ..training.rack import GripperRack
 from .statistics import cluster_bootstrap
 
 
 def compare_models(
     runs: Sequence[Path],
-    scenes: SceneDataset,
+    data: Path,
     grippers: Sequence[str],
     *,
     grasps: int = 200,
@@ -34,7 +36,7 @@ def compare_models(
 
     Args:
         runs: folders of `megrasp train`, or of models.
-        scenes: stored scenes, of objects that no model was trained with.
+        data: stored scenes, of objects that no model was trained with.
         grippers: names; hands are sampled on tables alone, since in most bins they find no free
             grasp.
         grasps: per model and gripper, spread evenly over the scenes.
@@ -42,18 +44,24 @@ def compare_models(
         on_progress: called with rows done and in all.
 
     Returns:
-        Content of the result file: per model and gripper the share of samples that hold
-        (unfiltered) and that collide at the pre-grasp or, in bins, on the way to it; intervals by
-        cluster bootstrap over the scenes.
+        Content of the result file: per model the diffusion loss on the scenes' grasps, by gripper
+        and band of noise, for all grippers that training knows; per model and gripper the share
+        of samples that hold (unfiltered) and that collide at the pre-grasp or, in bins, on the
+        way to it; intervals by cluster bootstrap over the scenes.
 
     Raises:
         DataError: no scene is left for a gripper.
     """
-    objects, records = ObjectSet(()), list(scenes)
+    objects, records = ObjectSet(()), list(SceneDataset(data))
+    entries = {entry.name: entry for entry in read_entries([data]).values()}
     rows = []
     for run in runs:
-        model = _model_of(run)
-        row: dict[str, Any] = {"model": model.model_id, **_training_facts(run, model)}
+        model = load_model(run / "model" if (run / "model" / "config.json").is_file() else run)
+        row: dict[str, Any] = {
+            "model": model.model_id,
+            **_training_facts(model),
+            "validation": _losses(model, entries),
+        }
         for name in grippers:
             row[name] = sample_rates(model, records, name, objects, grasps=grasps, seed=seed)
             if on_progress is not None:
@@ -105,27 +113,40 @@ def sample_rates(
     }
 
 
-def _model_of(run: Path) -> GraspModel:
-    return load_model(run / "model" if (run / "model" / "config.json").is_file() else run)
-
-
-def _training_facts(run: Path, model: GraspModel) -> dict[str, Any]:
-    """Poses and CPU time of the training, and its last validation, where they are known."""
+def _training_facts(model: GraspModel) -> dict[str, Any]:
     counters = cast(dict[str, Any], model.info.get("counters", {}))
-    facts: dict[str, Any] = {
+    return {
         "parameters": sum(weight.numel() for weight in model.parameters()),
         "poses": counters.get("poses"),
         "cpu_seconds": round(float(counters.get("cpu_seconds", 0.0))),
     }
-    losses = run / "losses.jsonl"
-    if losses.is_file():
-        last = json.loads(losses.read_text().splitlines()[-1])
-        facts["validation"] = {
-            "diffusion": last.get("validation_diffusion"),
-            "per_band": last.get("per_band"),
-            "per_gripper": last.get("per_gripper"),
-        }
-    return facts
+
+
+def _losses(model: GraspModel, entries: Mapping[str, TrainingEntry]) -> dict[str, Any]:
+    """Losses on the scenes' own grasps, as training validates."""
+    training = cast(dict[str, Any], model.info.get("training", {}))
+    config = TrainConfig(
+        network=model.config, nearest_copy=bool(training.get("nearest_copy", False))
+    )
+    rack = GripperRack(model.config.gripper_tokens)
+    pairs = validation_pairs(list(entries.values()), config)
+    names = {gripper for _, gripper in pairs}
+    network = model.config
+    result = validate(
+        model,
+        entries,
+        pairs,
+        {name: rack.tokens(name) for name in names},
+        config,
+        SceneSettings(),
+        NoiseSchedule(network.sigma_t, network.sigma_r, network.s_min),
+        {name: rack.fold(name) for name in names},
+    )
+    return {
+        "diffusion": round(result.losses["diffusion"], 4) if result.losses else None,
+        "per_band": {name: round(value, 4) for name, value in result.per_band.items()},
+        "per_gripper": {name: round(value, 4) for name, value in result.per_gripper.items()},
+    }
 
 
 def comparison_table(content: dict[str, Any]) -> str:
@@ -135,7 +156,7 @@ def comparison_table(content: dict[str, Any]) -> str:
     head += [f"{name}: {what}" for name in grippers for what in ("holds", "collides")]
     lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
     for row in content["rows"]:
-        bands = (row.get("validation") or {}).get("per_band") or {}
+        bands = row["validation"]["per_band"]
         cells = [
             row["model"],
             f"{row['parameters'] / 1e6:.2f} M",
