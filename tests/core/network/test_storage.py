@@ -33,6 +33,12 @@ def test_round_trip_predicts_the_same(folder):
     assert torch.allclose(*outs, atol=1e-6)
 
 
+def test_everybody_may_read_a_model(folder):
+    modes = {path.name: path.stat().st_mode & 0o777 for path in folder.iterdir()}
+    assert set(modes) == {"model.safetensors", "config.json"}, "nothing is left over"
+    assert modes["model.safetensors"] == modes["config.json"]
+
+
 def test_found_through_the_environment(folder, monkeypatch):
     monkeypatch.setenv("MEGRASP_MODELS", str(folder.parent))
     assert load_model("tiny-test").model_id == "tiny-test"

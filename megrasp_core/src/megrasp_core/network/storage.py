@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 
 from ..errors import ModelError
 from .config import ModelConfig
@@ -109,7 +109,11 @@ def save_model(model: GraspModel, folder: str | Path, info: dict[str, Any] | Non
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     weights = {k: v.detach().cpu().contiguous() for k, v in model.state_dict().items()}
-    save_file(weights, folder / WEIGHTS)
+    # Not `save_file`, which lets nobody but the owner read the file; and in one move, since a run
+    # replaces its model while others may read it.
+    partial = folder / f".{WEIGHTS}.part"
+    partial.write_bytes(save(weights))
+    partial.replace(folder / WEIGHTS)
     content = {
         "model_id": model.model_id,
         "network": model.config.to_dict(),

@@ -15,7 +15,7 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 from torch import Tensor
 
 from ..errors import DataError
@@ -92,10 +92,12 @@ def save_checkpoint(
     # All of it goes into the one file, so that a kill cannot leave two that do not fit; the JSON
     # beside it is for people.
     partial = folder / f".{TENSORS}.part"
-    save_file(
-        {k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()},
-        partial,
-        {"content": json.dumps(content)},
+    # Not `save_file`, which lets nobody but the owner read the file.
+    partial.write_bytes(
+        save(
+            {k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()},
+            {"content": json.dumps(content)},
+        )
     )
     partial.replace(folder / TENSORS)
     shown = {k: v for k, v in content.items() if k not in ("optimiser_steps", "scales")}
