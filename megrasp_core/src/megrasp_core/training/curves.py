@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+PARTS = {"per_gripper": "diffusion, by gripper", "per_band": "diffusion, by band of noise"}
+"""Validation losses that are kept in parts, and what their panels are called."""
 
 
 def plot_curves(losses: Path, picture: Path) -> None:
-    """Draw the training and validation losses over the poses seen.
+    """Draw the losses over the poses seen: training and validation, then the diffusion's
+    validation by gripper and by band of noise.
 
     Args:
         losses: `losses.jsonl` of a run.
@@ -18,20 +27,38 @@ def plot_curves(losses: Path, picture: Path) -> None:
 
     lines = [json.loads(line) for line in losses.read_text().splitlines()]
     names = sorted({k.split("_", 1)[1] for line in lines for k in line if k.startswith("train_")})
-    figure = Figure(figsize=(4.0 * max(1, len(names)), 3.2), layout="constrained")
+    parts = [name for name in PARTS if any(line.get(name) for line in lines)]
+    panels = len(names) + len(parts)
+    figure = Figure(figsize=(4.0 * max(1, panels), 3.4), layout="constrained")
     FigureCanvasAgg(figure)
     for place, name in enumerate(names):
-        axes = figure.add_subplot(1, len(names), place + 1)
+        axes = figure.add_subplot(1, panels, place + 1)
         for part in ("train", "validation"):
-            points = [
-                (line["steps"], line[f"{part}_{name}"])
-                for line in lines
-                if f"{part}_{name}" in line
-            ]
-            if points:
-                axes.plot(*zip(*points), label=part)
-        axes.set_title(name)
-        axes.set_xlabel("steps")
-        axes.grid(alpha=0.3)
-        axes.legend()
+            _curve(axes, lines, part, (line.get(f"{part}_{name}") for line in lines))
+        _finish(axes, name)
+    for place, name in enumerate(parts):
+        axes = figure.add_subplot(1, panels, len(names) + place + 1)
+        for key in sorted({key for line in lines for key in line.get(name, {})}):
+            _curve(axes, lines, key, (line.get(name, {}).get(key) for line in lines))
+        _finish(axes, PARTS[name])
     figure.savefig(picture, dpi=110)
+
+
+def _curve(
+    axes: Axes, lines: list[dict[str, Any]], label: str, values: Iterable[float | None]
+) -> None:
+    """One curve over millions of poses; in training of the heads, of labelled poses."""
+    points = [
+        ((line["poses"] or line["labelled_poses"]) / 1e6, value)
+        for line, value in zip(lines, values, strict=True)
+        if value is not None
+    ]
+    if points:
+        axes.plot(*zip(*points, strict=True), label=label)
+
+
+def _finish(axes: Axes, title: str) -> None:
+    axes.set_title(title)
+    axes.set_xlabel("million poses")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=6 if len(axes.lines) > 4 else 9, ncols=2 if len(axes.lines) > 4 else 1)
