@@ -9,7 +9,7 @@ import pytest
 import rclpy
 from rclpy.exceptions import InvalidHandle
 
-from megrasp_ros.spinning import spin
+from megrasp_ros.spinning import MOST, spin
 
 
 class Stumbling:
@@ -43,6 +43,13 @@ def test_spinning_ends_when_the_process_is_told_to(running):
     executor: Any = Stumbling(3)
     spin(executor)
     assert executor.spins == 1
+
+
+def test_a_handle_that_stays_destroyed_is_an_error(running):
+    executor: Any = Stumbling(10 * MOST)
+    with pytest.raises(InvalidHandle):
+        spin(executor)
+    assert executor.spins == MOST
 
 
 def test_other_errors_pass_through(running):

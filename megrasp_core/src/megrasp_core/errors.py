@@ -92,6 +92,12 @@ class ModelError(MegraspError):
     code = 300
 
 
+class TrainingError(MegraspError):
+    """A training run cannot go on."""
+
+    code = 302
+
+
 class SimulationError(MegraspError):
     """The simulation went unstable or cannot be built."""
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from megrasp_core.cli import main
 from megrasp_core.cli.common import changed
-from megrasp_core.errors import InvalidRequestError
+from megrasp_core.errors import InvalidRequestError, ModelError
 from megrasp_core.network import PRESETS
 from megrasp_core.training import TrainConfig
 
@@ -19,12 +20,12 @@ def test_values_take_the_type_of_their_field():
     assert (network.width, network.s_min, network.scene_tokens) == (96, 0.015, (52, 26, 17))
     config = changed(
         TrainConfig(),
-        ["low_levels=0.3", "nearest_copy=true", "learning_rate=1", "sampler.steps=12",
+        ["low_levels=0.3", "nearest_copy=true", "learning_rate=1", "weight_decay=1e-4", "sampler.steps=12",
          "sampler.kind=deterministic", "train_only=heads", "model_id=mine"],
         "--set",
     )  # fmt: skip
     assert config.low_levels == 0.3 and config.nearest_copy is True
-    assert isinstance(config.learning_rate, float)
+    assert isinstance(config.learning_rate, float) and config.weight_decay == 1e-4
     assert (config.sampler.steps, config.sampler.kind) == (12, "deterministic")
     assert config.sampler.restarts == TrainConfig().sampler.restarts
     assert (config.train_only, config.model_id) == ("heads", "mine")
@@ -44,9 +45,36 @@ def test_values_take_the_type_of_their_field():
         ("train_only=tails", "expected a value like 'all'"),
         ("seed=[", "expected a value like 1"),
         ("total_poses=0", "total_poses 0 was given; expected counts of at least 1"),
+        ("learning_rate=fast", "expected a value like 0.001"),
         ("sampler.steps=0", "got steps=0"),
     ],
 )
 def test_wrong_changes_say_what_is_right(change, message):
     with pytest.raises(InvalidRequestError, match=message):
         changed(TrainConfig(), [change], "--set")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("width=95", "width 95 cannot be divided by heads 4"),
+        ("blocks=[1, 1]", r"blocks \[1, 1\] has not 3 entries"),
+        ("fine_irreps=16x0e+8x1o", "fine_irreps '16x0e\\+8x1o' is not of the form"),
+    ],
+)
+def test_sizes_that_do_not_go_together_are_named(change, message):
+    with pytest.raises(ModelError, match=message):
+        changed(PRESETS["small"], [change], "--network")
+
+
+def test_options_that_contradict_each_other_are_refused(tmp_path, capsys):
+    begin = ["train", "--data", str(tmp_path), "--out", str(tmp_path / "run")]
+    for more, message in (
+        (["--resume", "--set", "seed=2"], "--set was given with --resume"),
+        (["--heads-of", "megrasp-small", "--network", "width=32"], "whose network it is"),
+        (["--set", "train_only=heads"], "expected the model whose heads are trained"),
+        (["--device", "gpu"], "device 'gpu' cannot be used"),
+        (["--processes", "3"], "expected at most one process a scene"),
+    ):
+        assert main([*begin, *more]) == 2
+        assert message in capsys.readouterr().err

@@ -24,6 +24,7 @@ from megrasp_core.training import (
     is_held_out,
     read_entries,
     scene_batch,
+    scene_keys,
     scene_losses,
     validation_pairs,
     without_objects,
@@ -96,7 +97,7 @@ def test_entries_of_two_data_sets_with_the_same_scenes_stay_apart(tmp_path):
     folders = [written(tmp_path / name, [record(1), record(2)]) for name in ("a", "b")]
     first = read_entries(folders)
     assert len(first) == 4
-    assert read_entries(folders, first).values() is not first.values()
+    assert set(first) == set(scene_keys(folders)) == {entry.key for entry in first.values()}
     assert all(entry is first[key] for key, entry in read_entries(folders, first).items())
 
 
@@ -148,6 +149,14 @@ def test_node_sets_differ_and_are_kept(entries):
     assert np.array_equal(one.points, again.points)
     for first, second in zip(graph.same, kept.same, strict=True):
         assert torch.equal(first, second) and first.dtype == torch.long
+
+
+def test_networks_with_other_graphs_do_not_share_them(entries):
+    fine = dataclasses.replace(PRESETS["tiny"], fine_neighbours=12, neighbours=5)
+    found = [entries[0].nodes(SceneSettings(), network)[1] for network in (PRESETS["tiny"], fine)]
+    count = len(found[0].nodes[0])
+    assert [graph.fine.shape for graph in found] == [(count, 0), (count, 12)]
+    assert [graph.same[0].shape[1] for graph in found] == [PRESETS["tiny"].neighbours, 5]
 
 
 def test_nodes_can_forget_gravity_and_tremble(entries):

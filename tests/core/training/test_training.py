@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import multiprocessing
 import os
 import shutil
 import signal
@@ -16,7 +17,7 @@ import pytest
 import torch
 from training_scenes import GRIPPER, record, written
 
-from megrasp_core.errors import DataError, InvalidRequestError
+from megrasp_core.errors import DataError, InvalidRequestError, TrainingError
 from megrasp_core.network import PRESETS, load_model
 from megrasp_core.training import (
     Counters,
@@ -27,6 +28,7 @@ from megrasp_core.training import (
     resume_training,
     train,
 )
+from megrasp_core.training.curves import append_losses, read_losses
 from megrasp_core.training.processes import Team
 
 CONFIG = TrainConfig(
@@ -257,10 +259,74 @@ def test_growing_data_comes_in_at_a_checkpoint(data, tmp_path):
     assert len(run.source.entries) == len(entries) + 3
     assert run.pairs == pairs, "what validates stays"
     names = {entry.name: entry for entry in run.source.entries}
-    before = entries[0]
-    assert names[before.name].tables[GRIPPER].rotation is before.tables[GRIPPER].rotation or len(
-        names[before.name].tables[GRIPPER]
-    ) == len(before.tables[GRIPPER])
+    for before in entries:
+        assert names[before.name]._sets is before._sets, "what was made of a scene is kept"
+
+
+def test_what_cannot_be_read_again_does_not_end_a_run(data, tmp_path, caplog):
+    folder = tmp_path / "data"
+    shutil.copytree(data, folder)
+    run = TrainingRun(TrainingJob((folder,), tmp_path / "run"), CONFIG)
+    run.read()
+    entries = len(run.source.entries)
+    (folder / "scenes" / "scene_0000000099.npz").write_bytes(b"no scene")
+    run.read_again()
+    assert len(run.source.entries) == entries
+    assert "what came to the data is left out" in caplog.text
+
+
+def test_a_line_that_a_kill_cut_off_is_passed_over(tmp_path):
+    file = tmp_path / "losses.jsonl"
+    append_losses(file, {"steps": 1})
+    with file.open("a") as half:
+        half.write('{"steps": 2, "tra')
+    append_losses(file, {"steps": 3})
+    assert [line["steps"] for line in read_losses(file)] == [1, 3]
+
+
+def test_a_run_goes_on_with_what_validated_before(data, tmp_path):
+    job = TrainingJob((data,), tmp_path / "run")
+    part_of(job, CONFIG, 32)
+    other = written(tmp_path / "other", [record(seed, objects=("p1", "p2")) for seed in range(3)])
+    with pytest.raises(DataError, match=r"begun without scenes of its own .* is resumed with"):
+        resume_training(dataclasses.replace(job, validation=(other,)))
+    with pytest.raises(DataError, match="none of the 1 pairs of scene and gripper"):
+        resume_training(dataclasses.replace(job, data=(other,)))
+    own = TrainingJob((data,), tmp_path / "own", validation=(other,))
+    part_of(own, CONFIG, 32)
+    with pytest.raises(DataError, match=r"begun with scenes of its own .* is resumed without"):
+        resume_training(dataclasses.replace(own, validation=()))
+
+
+def test_steps_without_a_finite_gradient_change_nothing_and_end_the_run(data, tmp_path):
+    run = TrainingRun(TrainingJob((data,), tmp_path), CONFIG)
+    run.step()
+    before = {k: v.clone() for k, v in run.model.state_dict().items()}
+    poses = run.counters.poses
+    handle = run.model.residual_head.register_forward_hook(lambda _, __, out: out * float("nan"))
+    run.step()
+    assert all(torch.equal(v, before[k]) for k, v in run.model.state_dict().items())
+    assert (run.counters.poses, run.counters.skipped, run.counters.steps) == (poses, 1, 2)
+    assert all(np.isfinite(value) for value in run.averages.values())
+    with pytest.raises(TrainingError, match="no finite number for 50 steps"):
+        while run.counters.steps < 60:
+            run.step()
+    assert run.counters.steps == 51
+    handle.remove()
+
+
+def test_a_lost_process_leaves_what_was_trained(data, tmp_path):
+    config = dataclasses.replace(CONFIG, scenes_per_step=2, total_poses=10**9)
+    job = TrainingJob((data,), tmp_path, processes=2)
+
+    def kill(run: TrainingRun, _: dict[str, float]) -> None:
+        if run.counters.steps == 3:
+            for child in multiprocessing.active_children():
+                child.kill()
+
+    with pytest.raises(TrainingError, match="a process that shares the training ended"):
+        train(job, config, on_progress=kill)
+    assert load_model(tmp_path / "model").info["counters"]["steps"] == 3
 
 
 def test_errors_say_what_to_do(data, tmp_path):

@@ -10,7 +10,13 @@ import logging
 import sys
 from collections.abc import Sequence
 
-from ..errors import CancelledError, MegraspError, RequestTimeoutError, SimulationError
+from ..errors import (
+    CancelledError,
+    MegraspError,
+    RequestTimeoutError,
+    SimulationError,
+    TrainingError,
+)
 from . import commands
 
 __all__ = ["main"]
@@ -22,7 +28,7 @@ Try: megrasp demo
 
 Exit codes: 0 done; 1 ran, but found nothing or failed; 2 bad input."""
 
-FAILURES = (CancelledError, RequestTimeoutError, SimulationError)
+FAILURES = (CancelledError, RequestTimeoutError, SimulationError, TrainingError)
 """Errors that are not about the input."""
 
 

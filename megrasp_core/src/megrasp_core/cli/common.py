@@ -130,10 +130,10 @@ def read_region(path: Path) -> tuple[OrientedBox, bool]:
     return OrientedBox(matrix_from_pose7(pose), size), bool(content.get("walls", True))  # type: ignore[arg-type]
 
 
-Settings = TypeVar("Settings")
+Dataclass = TypeVar("Dataclass")
 
 
-def changed(settings: Settings, changes: Sequence[str], option: str) -> Settings:
+def changed(settings: Dataclass, changes: Sequence[str], option: str) -> Dataclass:
     """A dataclass with fields set from `NAME=VALUE` texts; `outer.inner=VALUE` sets a field of a
     field. Lists are written as `[1, 2]`.
 
@@ -169,13 +169,21 @@ def _with(settings: Any, path: list[str], value: Any, given: str) -> Any:
     elif isinstance(value, list):
         value = tuple(value)
     wanted = get_type_hints(type(settings))[path[0]]
+    if wanted is float or float in get_args(wanted):
+        value = _number(value)
     if not _fits(value, wanted):
         raise InvalidRequestError(f"{given}: expected a value like {before!r}.")
-    is_float = wanted is float or float in get_args(wanted)
-    plain = isinstance(value, int) and not isinstance(value, bool)
-    return dataclasses.replace(
-        settings, **{path[0]: float(value) if is_float and plain else value}
-    )
+    return dataclasses.replace(settings, **{path[0]: value})
+
+
+def _number(value: Any) -> Any:
+    """A float where there is one: YAML takes 1e-3 for text and 1 for a whole number."""
+    if isinstance(value, bool) or not isinstance(value, (int, str)):
+        return value
+    try:
+        return float(value)
+    except ValueError:
+        return value
 
 
 def _fits(value: Any, wanted: Any) -> bool:

@@ -177,7 +177,7 @@ def bench(
     if data is not None and against is not None:
         from ..evaluation.bench_training import bench_training
 
-        with progress_bar(3 * repeats, stage) as bar:
+        with progress_bar(None, stage) as bar:
             content = bench_training(
                 data,
                 against,

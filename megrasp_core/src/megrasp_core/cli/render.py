@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 from ..errors import InvalidRequestError
@@ -29,6 +30,12 @@ def render(recipes: tuple[Path, ...], out: Path) -> int:
     if not recipes:
         raise InvalidRequestError("--recipes names nothing; expected files of `data pack`.")
     scenes = [scene for file in recipes for scene in read_recipes(file)]
+    twice = [seed for seed, count in Counter(s.seed for s in scenes).items() if count > 1]
+    if twice:
+        raise InvalidRequestError(
+            f"{len(twice)} scenes, seed {twice[0]} for one, are in two of the files; expected "
+            "each once. Render the files into different folders."
+        )
     config, objects = SceneConfig(grippers=()), ObjectSet(())
     writer = SceneWriter(out, {"config": asdict(config), "from": "recipes"})
     made = 0

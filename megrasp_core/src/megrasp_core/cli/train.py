@@ -62,7 +62,7 @@ def train(
             objects is held out.
         device: cpu or cuda.
         processes: that share the work, one thread each.
-        compiled: use compiled kernels, a third faster; they need the extra `kernels` (numba).
+        compiled: use compiled kernels, which are faster; they need the extra `kernels` (numba).
         minutes: end of this stretch; without, the plan is trained to its end.
         total_poses: noisy poses of the whole plan, which the learning rate follows; by default
             three million, with --resume as before.
@@ -93,6 +93,18 @@ def train(
     )
     # More threads than one wait for each other on a busy machine; processes do not.
     torch.set_num_threads(1)
+    given = {"--network": network, "--set": settings, "--gripper": gripper,
+             "--heads-of": heads_of, "--model-id": model_id}  # fmt: skip
+    if resume and any(given.values()):
+        raise InvalidRequestError(
+            f"{', '.join(name for name in given if given[name])} was given with --resume; "
+            "expected nothing that changes the run, which goes on as it was begun. Leave it out, "
+            "or begin a new run."
+        )
+    if heads_of is not None and network:
+        raise InvalidRequestError(
+            "--network was given with --heads-of, whose network it is; expected one of them."
+        )
     with progress_bar(1000, "train") as bar:
         if resume:
             resume_training(job, total_poses=total_poses, on_progress=_Display(bar))
@@ -173,4 +185,10 @@ def _config(
         config = replace(config, grippers=tuple(gripper))
     if total_poses is not None:
         config = replace(config, total_poses=total_poses)
-    return changed(config, settings, "--set")
+    config = changed(config, settings, "--set")
+    if config.heads_only and heads_of is None:
+        raise InvalidRequestError(
+            "train_only=heads was given without --heads-of; expected the model whose heads are "
+            "trained."
+        )
+    return config

@@ -27,7 +27,7 @@ from megrasp_core.training import SceneSource, TrainConfig, TrainingJob, Trainin
 from megrasp_core.training.processes import tuned_process
 config = TrainConfig(
     scenes_per_step=1, grippers_per_scene=4, poses_per_scene=4 * POSES,
-    confidence_poses=4 * LABELLED, node_sets=2,
+    confidence_poses=4 * LABELLED, confidence_every=EVERY, node_sets=2,
 )
 run = TrainingRun(TrainingJob((DATA,), DATA, compiled=COMPILED), config)
 entries = [entry for entry in read_entries([DATA]).values() if entry.name in SCENES]
@@ -57,7 +57,8 @@ import torch
 torch.set_num_threads(1)
 GIVEN = json.loads(sys.argv[1])
 DATA, SCENES, GRIPPERS = Path(GIVEN["data"]), set(GIVEN["scenes"]), tuple(GIVEN["grippers"])
-POSES, LABELLED, COMPILED = GIVEN["poses"], GIVEN["labelled"], GIVEN["compiled"]
+POSES, LABELLED = GIVEN["poses"], GIVEN["labelled"]
+COMPILED, EVERY = GIVEN["compiled"], GIVEN["confidence_every"]
 
 def measure(step, poses):
     for _ in range(GIVEN["warm"]):
@@ -71,12 +72,22 @@ def measure(step, poses):
 
 @dataclass(frozen=True)
 class Contestant:
-    """A trainer to be timed: `source` holds the package; compiled: with compiled kernels."""
+    """A trainer to be timed.
+
+    Attributes:
+        name: in the result.
+        source: folder that holds the package.
+        program: what is run.
+        compiled: with compiled kernels.
+        confidence_every: the confidence is trained in every so many steps; the older trainer does
+            so in each.
+    """
 
     name: str
     source: Path
     program: str
     compiled: bool = False
+    confidence_every: int = 2
 
 
 def bench_training(
@@ -88,7 +99,8 @@ def bench_training(
     on_progress: Callable[[int, int], object] | None = None,
 ) -> dict[str, Any]:
     """Time the step of preset `small` on four grippers with 192 poses each in one scene, as it is
-    now with torch alone and with compiled kernels, and in an older checkout, by turns.
+    now with torch alone (also with as much work for the confidence as before) and with compiled
+    kernels, and in an older checkout, by turns.
 
     Args:
         data: data set with scenes that hold grasps of four grippers.
@@ -114,6 +126,7 @@ def bench_training(
     like_this = (source / "megrasp_core" / "training" / "processes.py").exists()
     contestants = [
         Contestant("before", source, _NOW if like_this else _BEFORE_PROCESSES),
+        Contestant("torch, confidence in every step", here, _NOW, confidence_every=1),
         Contestant("torch", here, _NOW),
         Contestant("compiled", here, _NOW, compiled=True),
     ]
@@ -133,7 +146,9 @@ def bench_training(
         "against": _commit(against),
         "poses_per_cpu_second": {name: [round(r, 1) for r in found[name]] for name in found},
         "ratio": {
-            name: round(median[name] / median["before"], 3) for name in ("torch", "compiled")
+            name: round(rate / median["before"], 3)
+            for name, rate in median.items()
+            if name != "before"
         },
         "hardware": processor(),
         "load": round(os.getloadavg()[0], 2),
@@ -170,6 +185,7 @@ def _timed(contestant: Contestant, data: Path, scenes: Sequence[str], steps: int
         "poses": POSES,
         "labelled": LABELLED,
         "compiled": contestant.compiled,
+        "confidence_every": contestant.confidence_every,
         "steps": steps,
         "warm": 2 * steps,
     }

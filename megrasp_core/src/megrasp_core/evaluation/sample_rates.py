@@ -53,20 +53,25 @@ def compare_models(
         DataError: no scene is left for a gripper.
     """
     objects, records = ObjectSet(()), list(SceneDataset(data))
-    entries = {entry.name: entry for entry in read_entries([data]).values()}
-    rows = []
-    for run in runs:
-        model = load_model(run / "model" if (run / "model" / "config.json").is_file() else run)
+    entries = read_entries([data])
+    models = [
+        load_model(run / "model" if (run / "model" / "config.json").is_file() else run)
+        for run in runs
+    ]
+    # The same levels of noise for all, or those that know lower ones have the harder task.
+    lowest = max(model.config.s_min for model in models)
+    rows, done = [], 0
+    for model in models:
         row: dict[str, Any] = {
             "model": model.model_id,
             **_training_facts(model),
-            "validation": _losses(model, entries),
+            "validation": _losses(model, entries, lowest),
         }
         for name in grippers:
             row[name] = sample_rates(model, records, name, objects, grasps=grasps, seed=seed)
+            done += 1
             if on_progress is not None:
-                on_progress(len(rows) * len(grippers) + list(grippers).index(name) + 1,
-                            len(runs) * len(grippers))  # fmt: skip
+                on_progress(done, len(models) * len(grippers))
         rows.append(row)
     return {
         "scenes": len(records),
@@ -118,12 +123,16 @@ def _training_facts(model: GraspModel) -> dict[str, Any]:
     return {
         "parameters": sum(weight.numel() for weight in model.parameters()),
         "poses": counters.get("poses"),
-        "cpu_seconds": round(float(counters.get("cpu_seconds", 0.0))),
+        "cpu_seconds": counters.get("cpu_seconds"),
     }
 
 
-def _losses(model: GraspModel, entries: Mapping[str, TrainingEntry]) -> dict[str, Any]:
-    """Losses on the scenes' own grasps, as training validates."""
+def _losses(
+    model: GraspModel, entries: Mapping[str, TrainingEntry], s_min: float
+) -> dict[str, Any]:
+    """Losses on the scenes' own grasps as training validates, against the target that the model
+    was trained for, from the noise level `s_min` on.
+    """
     training = cast(dict[str, Any], model.info.get("training", {}))
     config = TrainConfig(
         network=model.config, nearest_copy=bool(training.get("nearest_copy", False))
@@ -139,7 +148,7 @@ def _losses(model: GraspModel, entries: Mapping[str, TrainingEntry]) -> dict[str
         {name: rack.tokens(name) for name in names},
         config,
         SceneSettings(),
-        NoiseSchedule(network.sigma_t, network.sigma_r, network.s_min),
+        NoiseSchedule(network.sigma_t, network.sigma_r, s_min),
         {name: rack.fold(name) for name in names},
     )
     return {
@@ -161,7 +170,7 @@ def comparison_table(content: dict[str, Any]) -> str:
             row["model"],
             f"{row['parameters'] / 1e6:.2f} M",
             "-" if row["poses"] is None else f"{row['poses'] / 1e6:.2f} M",
-            f"{row['cpu_seconds']:,}",
+            "-" if row["cpu_seconds"] is None else f"{row['cpu_seconds']:,.0f}",
             *(f"{bands[b]:.3f}" if b in bands else "-" for b in ("low", "middle", "high")),
         ]
         for name in grippers:

@@ -1,12 +1,12 @@
 """SE(3)-equivariant network: scene encoder, gripper encoder, decoder and heads."""
 
 from .config import PRESETS, ModelConfig
-from .graph import SceneGraph, build_graph
+from .graph import SceneGraph, build_graph, graph_sizes
 from .gripper_encoder import GripperCode
 from .model import GraspModel, Prediction
 from .precision import low_precision_pays
 from .scene_encoder import SceneField
-from .storage import find_model, list_models, load_model, model_folders, save_model
+from .storage import find_model, list_models, load_model, model_folders, move_to, save_model
 
 __all__ = [
     "PRESETS",
@@ -18,9 +18,11 @@ __all__ = [
     "SceneGraph",
     "build_graph",
     "find_model",
+    "graph_sizes",
     "list_models",
     "load_model",
     "low_precision_pays",
     "model_folders",
+    "move_to",
     "save_model",
 ]

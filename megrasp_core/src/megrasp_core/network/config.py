@@ -6,6 +6,7 @@ import dataclasses
 from typing import Any
 
 from ..errors import ModelError
+from .irreps import multiplicities
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,6 +55,34 @@ class ModelConfig:
     sigma_t: float = 0.08
     sigma_r: float = 2.0
     s_min: float = 0.03
+
+    def __post_init__(self) -> None:
+        """Refuse sizes that do not go together.
+
+        Raises:
+            ModelError: they do not.
+        """
+        wrong = []
+        for name in ("blocks", "radii", "scene_tokens"):
+            entries = list(getattr(self, name))
+            if len(entries) != self.levels:
+                wrong.append(f"{name} {entries} has not {self.levels} entries, one a level")
+        if self.levels < 2:
+            wrong.append(f"levels {self.levels} is below 2")
+        if self.heads < 1 or self.width % self.heads:
+            wrong.append(f"width {self.width} cannot be divided by heads {self.heads}")
+        for name in ("fine_irreps", "coarse_irreps", "token_irreps"):
+            try:
+                degrees = set(multiplicities(getattr(self, name)))
+            except ValueError:
+                degrees = set()
+            if degrees != {0, 1, 2}:
+                wrong.append(f"{name} {getattr(self, name)!r} is not of the form 32x0e+16x1o+8x2e")
+        if wrong:
+            raise ModelError(
+                f"the network's sizes do not go together: {'; '.join(wrong)}. Change them, or "
+                "take a preset as it is."
+            )
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> ModelConfig:

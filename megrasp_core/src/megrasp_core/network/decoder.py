@@ -26,7 +26,7 @@ from .kernels import can_compile, nearest_points
 from .scene_encoder import SceneField
 
 KEYS = 16
-"""Softmax over another number than a multiple of this takes four times as long on a CPU."""
+"""Softmax over another number than a multiple of this takes much longer on a CPU."""
 FAR = 1e6
 """Squared distance, in units of the position scale, of keys that are there to make up the number:
 their weight is 0 exactly."""

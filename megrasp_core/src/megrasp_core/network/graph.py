@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
@@ -55,14 +55,34 @@ class SceneGraph:
         """The same in the integers that the network takes; undoes `narrow`."""
         return self._with(lambda index: index.long())
 
-    def _with(self, change: Callable[[Tensor], Tensor]) -> SceneGraph:
+    def tensors(self) -> list[Tensor]:
+        """All index tensors, in the order of `of_tensors`."""
+        return [*self.nodes, *self.same, *self.down, *self.up, self.fine]
+
+    def of_tensors(self, tensors: Sequence[Tensor]) -> SceneGraph:
+        """A graph like this one made of other tensors."""
+        rest = iter(tensors)
         return SceneGraph(
-            nodes=tuple(change(index) for index in self.nodes),
-            same=tuple(change(index) for index in self.same),
-            down=tuple(change(index) for index in self.down),
-            up=tuple(change(index) for index in self.up),
-            fine=change(self.fine),
+            nodes=tuple(next(rest) for _ in self.nodes),
+            same=tuple(next(rest) for _ in self.same),
+            down=tuple(next(rest) for _ in self.down),
+            up=tuple(next(rest) for _ in self.up),
+            fine=next(rest),
         )
+
+    def _with(self, change: Callable[[Tensor], Tensor]) -> SceneGraph:
+        return self.of_tensors([change(index) for index in self.tensors()])
+
+
+def graph_sizes(config: ModelConfig) -> tuple[int, ...]:
+    """What of a network's sizes decides about graphs: equal sizes, equal graphs."""
+    return (
+        config.levels,
+        config.level_ratio,
+        config.neighbours,
+        config.up_neighbours,
+        config.fine_neighbours,
+    )
 
 
 def build_graph(nodes: SceneNodes, config: ModelConfig) -> SceneGraph:

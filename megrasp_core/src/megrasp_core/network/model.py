@@ -69,7 +69,7 @@ class GraspModel(nn.Module):
 
     def use_kernels(self) -> None:
         """Let compiled kernels do on a CPU what they do faster than torch; they are made at first
-        use, in half a minute.
+        use.
 
         Raises:
             InvalidRequestError: numba is missing.

@@ -9,7 +9,7 @@ import torch
 
 _FLAGS = frozenset({"avx512_bf16", "amx_bf16", "bf16"})
 """Of processors that multiply bfloat16 themselves (x86-64 and, last, ARM); elsewhere it is
-emulated and takes twice as long as float32."""
+emulated, which takes longer than float32."""
 
 
 def low_precision_pays(device: str | torch.device) -> bool:

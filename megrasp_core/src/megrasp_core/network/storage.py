@@ -93,15 +93,27 @@ def load_model(
             "Restore both files from the same version."
         )
     result.info = info
-    try:
-        result.to(device=device, dtype=dtype)
-    except (RuntimeError, AssertionError) as error:
-        raise ModelError(
-            f"device {device!r} cannot be used ({error}); expected cpu or an available cuda "
-            "device."
-        ) from error
+    move_to(result, device, dtype)
     result.low_precision = bool(info.get("low_precision")) and low_precision_pays(device)
     return result.eval().requires_grad_(False)
+
+
+def move_to(
+    model: GraspModel, device: str | torch.device, dtype: torch.dtype | None = None
+) -> GraspModel:
+    """The model on a device.
+
+    Raises:
+        ModelError: no such device here.
+    """
+    try:
+        return model.to(device=torch.device(device), dtype=dtype or model.dtype)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).strip().splitlines()[0]
+        raise ModelError(
+            f"device {device!r} cannot be used ({reason}); expected cpu or an available cuda "
+            "device."
+        ) from error
 
 
 def save_model(model: GraspModel, folder: str | Path, info: dict[str, Any] | None = None) -> Path:
@@ -109,19 +121,21 @@ def save_model(model: GraspModel, folder: str | Path, info: dict[str, Any] | Non
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     weights = {k: v.detach().cpu().contiguous() for k, v in model.state_dict().items()}
-    # Not `save_file`, which lets nobody but the owner read the file; and in one move, since a run
-    # replaces its model while others may read it.
-    partial = folder / f".{WEIGHTS}.part"
-    partial.write_bytes(save(weights))
-    partial.replace(folder / WEIGHTS)
+    # Not `save_file`, which lets nobody but the owner read the file.
+    data = save(weights)
     content = {
         "model_id": model.model_id,
         "network": model.config.to_dict(),
         "parameters": sum(v.numel() for v in weights.values()),
-        "sha256": file_digest(folder / WEIGHTS),
+        "sha256": hashlib.sha256(data).hexdigest(),
         **(info or {}),
     }
-    (folder / CONFIG).write_text(json.dumps(content, indent=2) + "\n")
+    files = {WEIGHTS: data, CONFIG: (json.dumps(content, indent=2) + "\n").encode()}
+    # A run replaces its model while others may read it: both files are whole before either moves.
+    for name, value in files.items():
+        (folder / f".{name}.part").write_bytes(value)
+    for name in files:
+        (folder / f".{name}.part").replace(folder / name)
     return folder
 
 

@@ -4,7 +4,15 @@ from .batching import LabelledPoses, SceneBatch, SceneSource, balance, scene_bat
 from .config import GRIPPERS, Counters, TrainConfig, rate_factor
 from .loop import TrainingJob, TrainingRun, resume_training, train
 from .losses import scene_losses
-from .scenes import PoseTable, TrainingEntry, divided, is_held_out, read_entries, without_objects
+from .scenes import (
+    PoseTable,
+    TrainingEntry,
+    divided,
+    is_held_out,
+    read_entries,
+    scene_keys,
+    without_objects,
+)
 from .validation import ValidationResult, validate, validation_pairs
 
 __all__ = [
@@ -26,6 +34,7 @@ __all__ = [
     "read_entries",
     "resume_training",
     "scene_batch",
+    "scene_keys",
     "scene_losses",
     "train",
     "validate",

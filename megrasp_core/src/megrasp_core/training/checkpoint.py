@@ -49,14 +49,18 @@ class CheckpointState:
     Attributes:
         config: of the run.
         counters: what the model has seen.
-        validation: scene and gripper of each validation pair, so that growing data does not change
-            what validates.
+        validation: key of the scene and gripper of each validation pair, so that growing data
+            does not change what validates.
+        own_validation: whether scenes of their own validate, not held-out objects.
+        hashes: of the descriptions of the grippers that the run was begun with.
         facts: further entries of the model's `config.json`.
     """
 
     config: TrainConfig
     counters: Counters
     validation: tuple[tuple[str, str], ...] = ()
+    own_validation: bool = False
+    hashes: dict[str, str] = dataclasses.field(default_factory=dict)
     facts: dict[str, Any] = dataclasses.field(default_factory=dict)
 
 
@@ -84,6 +88,8 @@ def save_checkpoint(
         "config": state.config.to_dict(),
         "counters": dataclasses.asdict(state.counters),
         "validation": state.validation,
+        "own_validation": state.own_validation,
+        "hashes": state.hashes,
         "facts": state.facts,
         "optimiser_steps": steps,
         "scales": packing.scales,
@@ -136,7 +142,10 @@ def load_checkpoint(
         for name, parameter in model.named_parameters():
             if f"second.{name}" in tensors:
                 optimiser.state[parameter] = {
-                    "step": torch.tensor(float(content["optimiser_steps"][name])),
+                    # Where the parameter is: the fused optimiser reads it there.
+                    "step": torch.tensor(
+                        float(content["optimiser_steps"][name]), device=parameter.device
+                    ),
                     "exp_avg": unpacked(f"first.{name}").to(parameter),
                     "exp_avg_sq": unpacked(f"second.{name}").square().to(parameter),
                 }
@@ -161,6 +170,8 @@ def _state(content: dict[str, Any]) -> CheckpointState:
         TrainConfig.from_dict(content["config"]),
         Counters(**content["counters"]),
         tuple((scene, gripper) for scene, gripper in content["validation"]),
+        content["own_validation"],
+        content["hashes"],
         content["facts"],
     )
 

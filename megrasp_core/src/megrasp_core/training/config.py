@@ -114,6 +114,12 @@ class TrainConfig:
                 f"{', '.join(wrong)} was given; expected counts of at least 1 and shares from 0 "
                 "to below 1."
             )
+        if self.heads_only and self.confidence_weight * self.confidence_poses <= 0:
+            raise InvalidRequestError(
+                f"training of the heads alone was given with confidence_weight "
+                f"{self.confidence_weight} and confidence_poses {self.confidence_poses}; expected "
+                "both above 0."
+            )
 
     @property
     def heads_only(self) -> bool:
@@ -166,6 +172,8 @@ class Counters:
     """CPU time of training steps, all processes together."""
     stretches: int = 0
     """How often the run was started or resumed."""
+    skipped: int = 0
+    """Steps whose gradient was no finite number; they changed nothing and count no poses."""
 
     def progress(self, config: TrainConfig) -> float:
         """Share of the plan that is done, 0 to 1."""

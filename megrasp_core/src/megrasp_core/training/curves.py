@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Iterable
 from pathlib import Path
@@ -25,7 +26,7 @@ def plot_curves(losses: Path, picture: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    lines = [json.loads(line) for line in losses.read_text().splitlines()]
+    lines = read_losses(losses)
     names = sorted({k.split("_", 1)[1] for line in lines for k in line if k.startswith("train_")})
     parts = [name for name in PARTS if any(line.get(name) for line in lines)]
     panels = len(names) + len(parts)
@@ -42,6 +43,22 @@ def plot_curves(losses: Path, picture: Path) -> None:
             _curve(axes, lines, key, (line.get(name, {}).get(key) for line in lines))
         _finish(axes, PARTS[name])
     figure.savefig(picture, dpi=110)
+
+
+def read_losses(losses: Path) -> list[dict[str, Any]]:
+    """Lines of a run's `losses.jsonl`, oldest first, without one that a kill cut off."""
+    lines = []
+    for line in losses.read_text().splitlines():
+        with contextlib.suppress(json.JSONDecodeError):
+            lines.append(json.loads(line))
+    return lines
+
+
+def append_losses(losses: Path, line: dict[str, Any]) -> None:
+    """Add a line to a run's `losses.jsonl`, on a line of its own even after a kill."""
+    whole = not losses.exists() or losses.read_bytes()[-1:] in (b"", b"\n")
+    with losses.open("a") as file:
+        file.write(("" if whole else "\n") + json.dumps(line) + "\n")
 
 
 def _curve(

@@ -3,32 +3,39 @@
 from __future__ import annotations
 
 import dataclasses
-import json
+import logging
 import multiprocessing
 import signal
 import time
 from collections.abc import Callable
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import torch
 
 from ..datasets.stopping import StopSignals, deaf_to_ctrl_c
 from ..diffusion import NoiseSchedule
-from ..errors import DataError, InvalidRequestError
+from ..errors import DataError, InvalidRequestError, TrainingError
 from ..grippers.family import is_procedural
-from ..network import GraspModel, low_precision_pays, save_model
+from ..network import GraspModel, low_precision_pays, move_to, save_model
 from ..pointcloud import SceneSettings
 from .batching import SceneSource
 from .checkpoint import CheckpointState, load_checkpoint, read_state, save_checkpoint
 from .config import Counters, TrainConfig, rate_factor
-from .curves import plot_curves
+from .curves import append_losses, plot_curves
 from .losses import scene_losses
 from .processes import Team, free_port, tuned_process
 from .rack import GripperRack
-from .scenes import TrainingEntry, divided, read_entries, without_objects
+from .scenes import TrainingEntry, divided, read_entries, scene_keys, without_objects
 from .validation import validate, validation_pairs
+
+_log = logging.getLogger(__name__)
+
+MOST_SKIPPED = 50
+"""Steps in a row without a finite gradient after which a run gives up."""
 
 Progress = Callable[["TrainingRun", dict[str, float]], None]
 
@@ -119,17 +126,16 @@ def _run(
     resume: bool,
     on_progress: Progress | None,
 ) -> GraspModel:
-    followers, team = [], Team()
-    if job.processes > 1:
-        port = free_port()
-        context = multiprocessing.get_context("spawn")
-        with deaf_to_ctrl_c():
-            for rank in range(1, job.processes):
-                arguments = (rank, port, job, config, start_from, resume)
-                followers.append(context.Process(target=_follow, args=arguments, daemon=True))
-                followers[-1].start()
-        team = Team.joined(0, job.processes, port)
+    if job.processes > config.scenes_per_step:
+        raise InvalidRequestError(
+            f"{job.processes} processes were asked for and a step has {config.scenes_per_step} "
+            "scenes; expected at most one process a scene. Give more scenes_per_step."
+        )
+    followers: list[BaseProcess] = []
+    team = Team()
     try:
+        if job.processes > 1:
+            followers, team = _gathered(job, config, start_from, resume)
         with tuned_process(), StopSignals() as signals:
             run = TrainingRun(job, config, team, start_from)
             if resume:
@@ -139,7 +145,7 @@ def _run(
             try:
                 # The first signal ends the stretch after the step at work, a second one at once.
                 with signals.held_back():
-                    run.go_on(lambda: bool(signals.received), on_progress)
+                    _go_on(run, followers, lambda: bool(signals.received), on_progress)
                     run.save()
                     ended = True
             except KeyboardInterrupt:
@@ -150,7 +156,44 @@ def _run(
         team.leave()
         for follower in followers:
             follower.join(timeout=10.0)
-            follower.terminate()
+            # They are deaf to the signal of `terminate`.
+            follower.kill()
+
+
+def _gathered(
+    job: TrainingJob, config: TrainConfig, start_from: GraspModel | None, resume: bool
+) -> tuple[list[BaseProcess], Team]:
+    """Start the other processes and meet them."""
+    followers: list[BaseProcess] = []
+    port = free_port()
+    context = multiprocessing.get_context("spawn")
+    with deaf_to_ctrl_c():
+        for rank in range(1, job.processes):
+            arguments = (rank, port, job, config, start_from, resume)
+            followers.append(context.Process(target=_follow, args=arguments, daemon=True))
+            followers[-1].start()
+    return followers, Team.joined(0, job.processes, port)
+
+
+def _go_on(
+    run: TrainingRun,
+    followers: list[BaseProcess],
+    stopped: Callable[[], bool],
+    on_progress: Progress | None,
+) -> None:
+    """Train; save what there is when another process is lost."""
+    try:
+        run.go_on(stopped, on_progress)
+    except RuntimeError as error:
+        if not followers:
+            raise
+        # The step at work changed nothing: weights and counters are those of the one before.
+        run.save()
+        raise TrainingError(
+            f"a process that shares the training ended ({str(error).splitlines()[0]}); what was "
+            "trained until then is saved. See its message on standard error, then go on with "
+            "--resume."
+        ) from error
 
 
 def _follow(
@@ -193,7 +236,8 @@ class TrainingRun:
             kept = ("model_id", "counters", "training", "data_scenes", "sha256", "heads")
             before = {name: start_from.info[name] for name in kept if name in start_from.info}
             self.facts = {"started_from": before}
-        self.model.to(job.device).low_precision = low_precision_pays(job.device)
+        move_to(self.model, job.device)
+        self.model.low_precision = low_precision_pays(job.device)
         if job.compiled:
             self.model.use_kernels()
         if config.heads_only:
@@ -218,6 +262,7 @@ class TrainingRun:
         self.rack = GripperRack(config.network.gripper_tokens)
         self.hashes = {name: self.rack.gripper(name).hash for name in config.grippers}
         self.averages: dict[str, float] = {}
+        self._skipped = 0
         self.pairs: tuple[tuple[str, str], ...] = ()
         self.validation: dict[str, TrainingEntry] = {}
         self._entries: dict[str, TrainingEntry] = {}
@@ -240,21 +285,68 @@ class TrainingRun:
     def resume(self) -> None:
         """Go on from the checkpoint; how much is planned may have changed."""
         state = load_checkpoint(self.job.out, self.model, self.ema, self.optimiser)
+        if state.own_validation != bool(self.job.validation):
+            before, now = (
+                "with" if own else "without"
+                for own in (state.own_validation, bool(self.job.validation))
+            )
+            raise DataError(
+                f"the run in {self.job.out} was begun {before} scenes of its own for validation "
+                f"and is resumed {now}; expected the same, or it would train with what it "
+                "validates on. Give the same --validation."
+            )
+        changed = sorted(n for n, h in state.hashes.items() if self.hashes.get(n) != h)
+        if changed:
+            _log.warning(
+                "the descriptions of %s have changed since the run was begun; the model will be "
+                "listed as trained for them as they were",
+                ", ".join(changed),
+            )
+        self.hashes = state.hashes
         self.counters, self.pairs, self.facts = state.counters, state.validation, state.facts
 
     def read(self) -> None:
-        """Read the data, or what has come to it since.
+        """Read the data.
 
         Raises:
-            DataError: fewer than two scenes with anything to learn, or nothing that validates.
+            DataError: fewer than two scenes with anything to learn, an object that trains and
+                validates, or nothing left of what validated before.
         """
-        job = self.job
-        entries = read_entries(job.data, self._entries)
         # All processes must see the same scenes, however fast the data grows.
-        names = self.team.told(list(entries))
-        if self._source is not None and names == list(self._entries):
+        self._take(self.team.told(scene_keys(self.job.data)))
+        if self.pairs and not any(key in self.validation for key, _ in self.pairs):
+            raise DataError(
+                f"none of the {len(self.pairs)} pairs of scene and gripper that validated when "
+                f"the run was begun, {self.pairs[0]} for one, is in the data; expected the same "
+                "data sets in the same order, grown at most. Give --data and --validation as "
+                "before."
+            )
+        if not self.pairs:
+            self.pairs = validation_pairs(list(self.validation.values()), self.config)
+
+    def read_again(self) -> None:
+        """Take in what has come to the data; when it cannot be read, go on with what there is."""
+        keys: list[str] = []
+        if self.team.leads:
+            try:
+                keys = scene_keys(self.job.data)
+            except (DataError, OSError) as error:
+                _log.warning("the data was not read again: %s", error)
+        keys = self.team.told(keys)
+        if not keys or keys == list(self._entries):
             return
-        self._entries = {name: entries[name] for name in names if name in entries}
+        before = self._entries, self._source, self.validation
+        try:
+            self._take(keys)
+        except (DataError, OSError) as error:
+            if self.team.size > 1:
+                raise
+            self._entries, self._source, self.validation = before
+            _log.warning("what came to the data is left out: %s", error)
+
+    def _take(self, keys: list[str]) -> None:
+        job = self.job
+        self._entries = read_entries(job.data, self._entries, keys=keys)
         if job.validation:
             if not self._held_out:
                 self._held_out = read_entries(job.validation)
@@ -262,8 +354,7 @@ class TrainingRun:
         else:
             division = divided(self._entries.values())
         grippers = {name for entry in division.train for name in entry.tables}
-        known = set(self.config.grippers)
-        hands = {name for name in grippers & known if self.rack.is_hand(name)}
+        hands = {name for name in grippers & set(self.config.grippers) if self.rack.is_hand(name)}
         source = SceneSource(division.train, self.config, self.settings, frozenset(hands))
         if len(self._entries) < 2 or not source.pools:
             raise DataError(
@@ -273,9 +364,7 @@ class TrainingRun:
                 "some with `megrasp data scenes --out DIR`."
             )
         self._source = source
-        self.validation = {entry.name: entry for entry in division.validation}
-        if not self.pairs:
-            self.pairs = validation_pairs(division.validation, self.config)
+        self.validation = {entry.key: entry for entry in division.validation}
 
     def go_on(self, stopped: Callable[[], bool], on_progress: Progress | None) -> None:
         """Train until the plan or the stretch is over, or somebody wants to stop."""
@@ -293,14 +382,15 @@ class TrainingRun:
             if self.team.told(["save"] if due else []):
                 if self.team.leads:
                     self.save()
-                self.read()
+                self.read_again()
                 last_save = time.monotonic()
 
     def step(self, *, stop: bool = False) -> tuple[dict[str, float], bool]:
         """One optimiser step; also says whether any process wants to stop after it.
 
-        The scenes of a step, their poses and their noise depend on seed, step and place in the
-        step alone: neither on how many processes share them nor on when the run was resumed.
+        The scenes of a step, their poses and their noise depend on the data, the seed, the step
+        and the place in the step: neither on how many processes share them nor on when the run
+        was resumed.
         """
         began, cpu = time.monotonic(), time.process_time()
         config, counters = self.config, self.counters
@@ -337,19 +427,30 @@ class TrainingRun:
         noisy, labelled, scenes, used, stop_votes = numbers.tolist()
         cpu = time.process_time()
         norm = torch.nn.utils.clip_grad_norm_(self.trained, config.gradient_clip)
+        counters.steps += 1
+        counters.seconds += time.monotonic() - began
         if torch.isfinite(norm):
             self.optimiser.step()
             self._average()
-        counters.steps += 1
-        counters.poses += int(noisy)
-        counters.labelled_poses += int(labelled)
-        counters.scenes += int(scenes)
-        counters.seconds += time.monotonic() - began
+            counters.poses += int(noisy)
+            counters.labelled_poses += int(labelled)
+            counters.scenes += int(scenes)
+            self._skipped = 0
+        else:
+            counters.skipped += 1
+            self._skipped += 1
+            if self._skipped >= MOST_SKIPPED:
+                raise TrainingError(
+                    f"the gradient has been no finite number for {MOST_SKIPPED} steps; expected "
+                    "that of a model that learns. Go on from the last checkpoint with a lower "
+                    "learning_rate, or look for broken scenes with `megrasp data verify`."
+                )
         counters.cpu_seconds += used + (time.process_time() - cpu) * self.team.size
         found = {name for part in parts for name in part}
         values = {k: float(np.mean([part[k] for part in parts if k in part])) for k in found}
         for name, value in values.items():
-            self.averages[name] = 0.98 * self.averages.get(name, value) + 0.02 * value
+            if np.isfinite(value):
+                self.averages[name] = 0.98 * self.averages.get(name, value) + 0.02 * value
         return values, stop_votes > 0
 
     @torch.no_grad()
@@ -371,7 +472,14 @@ class TrainingRun:
     def save(self) -> None:
         """Checkpoint, averaged model, loss line and curves."""
         out = self.job.out
-        state = CheckpointState(self.config, self.counters, self.pairs, self.facts)
+        state = CheckpointState(
+            self.config,
+            self.counters,
+            self.pairs,
+            own_validation=bool(self.job.validation),
+            hashes=self.hashes,
+            facts=self.facts,
+        )
         save_checkpoint(out, self.model, self.ema, self.optimiser, state)
         model = self.averaged()
         result = validate(
@@ -391,9 +499,9 @@ class TrainingRun:
             "per_gripper": _rounded("", result.per_gripper),
             "per_band": _rounded("", result.per_band),
             "data_scenes": self.scenes,
+            "memory_mb": round(psutil.Process().memory_info().rss / 1e6),
         }
-        with (out / "losses.jsonl").open("a") as file:
-            file.write(json.dumps(line) + "\n")
+        append_losses(out / "losses.jsonl", line)
         plot_curves(out / "losses.jsonl", out / "losses.png")
         save_model(model, out / "model", model.info)
 

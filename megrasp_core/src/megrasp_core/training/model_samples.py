@@ -35,11 +35,15 @@ from ..synthesizer.starts import draw_starts
 class SampleSettings:
     """Amounts of `label_samples`.
 
-    samples: drawn per scene and gripper. judged: at most this many of those free of collision are
-    tried in the
-    heap; the others that are free are left out. colliding: at most this many of those that
-    collide are kept, as
-    failures. sampler: what the poses go through; None: what the model says.
+    Attributes:
+        samples: drawn per scene and gripper.
+        judged: at most this many of those free of collision are tried in the heap; the others
+            that are free are left out.
+        colliding: at most this many of those that collide are kept, as failures.
+        approach_distance: length (m) of the way to the pre-grasp that must be free in bins.
+        max_depth: deepest penetration (m) that still counts as free.
+        sampler: what the poses go through; None: what the model says.
+        seed: of starts and noise.
     """
 
     samples: int = 48

@@ -17,6 +17,8 @@ import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
+from ..errors import TrainingError
+
 _MMAP_MAX, _TRIM_THRESHOLD, _TOP_PAD = -4, -1, -2
 """Parameters of glibc's `mallopt`."""
 
@@ -46,8 +48,10 @@ def _keep_memory(keep: bool) -> None:
         allocator.mallopt(_TOP_PAD, 2**26 if keep else 2**17)
 
 
+START = datetime.timedelta(minutes=3)
+"""How long a process waits for the others to start."""
 PATIENCE = datetime.timedelta(hours=1)
-"""How long a process waits for the others: one of them may write a checkpoint."""
+"""How long it waits for them later: one of them may write a checkpoint."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,14 +73,24 @@ class Team:
 
     @staticmethod
     def joined(rank: int, size: int, port: int) -> Team:
-        """Meet the others at a port of this machine; waits until all are there."""
-        dist.init_process_group(
-            "gloo",
-            init_method=f"tcp://127.0.0.1:{port}",
-            rank=rank,
-            world_size=size,
-            timeout=PATIENCE,
-        )
+        """Meet the others at a port of this machine; waits until all are there.
+
+        Raises:
+            TrainingError: they are not all there in time.
+        """
+        try:
+            store = dist.TCPStore(  # pyright: ignore[reportPrivateImportUsage]
+                "127.0.0.1", port, size, rank == 0, timeout=START
+            )
+            dist.init_process_group(
+                "gloo", store=store, rank=rank, world_size=size, timeout=PATIENCE
+            )
+        except (dist.DistError, RuntimeError) as error:
+            raise TrainingError(
+                f"{size} processes were to train together and did not meet within "
+                f"{START.total_seconds():.0f} s ({error}). See what the others wrote to standard "
+                "error; a script that trains needs `if __name__ == '__main__':`."
+            ) from error
         return Team(rank, size)
 
     def leave(self) -> None:

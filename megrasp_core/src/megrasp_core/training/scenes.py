@@ -5,16 +5,19 @@ from __future__ import annotations
 import copy
 import dataclasses
 import hashlib
-from collections.abc import Callable, Iterable, Mapping
+import mmap
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from ..datasets import GripperLabels, TrainingScene, open_scenes
 from ..errors import DataError
 from ..lie.pose import matrix_from_pose7
-from ..network import ModelConfig, SceneGraph, build_graph
+from ..network import ModelConfig, SceneGraph, build_graph, graph_sizes
 from ..pointcloud import SceneNodes, SceneSettings, SurfaceCloud, nodes_at
 
 
@@ -64,14 +67,17 @@ class TrainingEntry:
 
     Args:
         scene: as read.
+        key: place of the data set and name of the scene, by default the name.
 
     Attributes:
+        key: tells it from all others: two data sets may hold scenes of the same name.
         name: of the scene in its data set.
         object_names: the objects that labels refer to by index.
         tables: gripper name -> labelled poses, none empty.
     """
 
-    def __init__(self, scene: TrainingScene) -> None:
+    def __init__(self, scene: TrainingScene, key: str | None = None) -> None:
+        self.key = scene.name if key is None else key
         self.name = scene.name
         self.object_names = scene.object_names
         self.tables = {
@@ -80,7 +86,7 @@ class TrainingEntry:
             if len(labels)
         }
         self._scene = scene.without_labels()
-        self._sets: dict[int, tuple[NDArray[np.int32], SceneGraph]] = {}
+        self._sets: dict[Hashable, tuple[NDArray[np.int32], SceneGraph]] = {}
 
     def of_objects(self, chosen: NDArray[np.bool_]) -> TrainingEntry:
         """The same scene with the labels of some objects `(n,)` alone; node sets are shared."""
@@ -100,12 +106,35 @@ class TrainingEntry:
         first asked for, then kept.
         """
         surface: SurfaceCloud = self._scene.surface_cloud()
-        if which not in self._sets:
+        key = (which, settings, graph_sizes(network))
+        if key not in self._sets:
             chosen = self._scene.chosen(settings, which)
-            graph = build_graph(nodes_at(surface, chosen), network)
-            self._sets[which] = chosen.astype(np.int32), graph.narrow()
-        chosen, graph = self._sets[which]
+            graph = build_graph(nodes_at(surface, chosen), network).narrow()
+            self._sets[key] = _in_own_pages(chosen.astype(np.int32), graph)
+        chosen, graph = self._sets[key]
         return nodes_at(surface, chosen.astype(np.intp)), graph.wide()
+
+
+def _in_own_pages(
+    chosen: NDArray[np.int32], graph: SceneGraph
+) -> tuple[NDArray[np.int32], SceneGraph]:
+    """The same in pages of their own, outside the heap.
+
+    Small things that stay, between the large ones of a step that come and go, would keep the
+    heap from using its gaps.
+    """
+    parts = [torch.from_numpy(chosen), *graph.tensors()]
+    sizes = [-(-part.numel() * part.element_size() // 8) * 8 for part in parts]
+    pages = mmap.mmap(-1, max(1, sum(sizes)))
+    kept: list[Tensor] = []
+    start = 0
+    for part, size in zip(parts, sizes, strict=True):
+        if part.numel():
+            place = torch.frombuffer(pages, dtype=part.dtype, count=part.numel(), offset=start)
+            part = place.view(part.shape).copy_(part)
+        kept.append(part)
+        start += size
+    return kept[0].numpy(), graph.of_tensors(kept[1:])
 
 
 def is_held_out(name: str) -> bool:
@@ -114,30 +143,40 @@ def is_held_out(name: str) -> bool:
     return int.from_bytes(digest[:8], "big") % 10 == 0
 
 
+def scene_keys(paths: Iterable[str | Path]) -> list[str]:
+    """Keys of all scenes that data set folders and device packs hold now: place of the path and
+    name of the scene.
+    """
+    return [
+        f"{place}/{name}" for place, path in enumerate(paths) for name in open_scenes(path).names
+    ]
+
+
 def read_entries(
     paths: Iterable[str | Path],
     known: Mapping[str, TrainingEntry] | None = None,
     *,
+    keys: Iterable[str] | None = None,
     on_scene: Callable[[], None] | None = None,
 ) -> dict[str, TrainingEntry]:
-    """All scenes of data set folders and device packs.
+    """Scenes of data set folders and device packs, by their keys.
 
     Args:
         paths: folders and files; a folder may grow between two readings.
         known: entries of an earlier reading of the same paths, taken over as they are.
+        keys: only these of `scene_keys`.
         on_scene: called after every scene.
-
-    Returns:
-        Place of the path and name of the scene -> entry. Two data sets may hold scenes of the
-        same name, such as a scene and the labels of a model's samples in it.
     """
+    wanted = None if keys is None else set(keys)
     entries: dict[str, TrainingEntry] = {}
     for place, path in enumerate(paths):
         dataset = open_scenes(path)
         for index, name in enumerate(dataset.names):
             key = f"{place}/{name}"
+            if wanted is not None and key not in wanted:
+                continue
             found = None if known is None else known.get(key)
-            entries[key] = TrainingEntry(dataset[index]) if found is None else found
+            entries[key] = TrainingEntry(dataset[index], key) if found is None else found
             if on_scene is not None:
                 on_scene()
     return entries

@@ -45,7 +45,7 @@ class ValidationResult:
 def validation_pairs(
     entries: Sequence[TrainingEntry], config: TrainConfig
 ) -> tuple[tuple[str, str], ...]:
-    """Scene and gripper of every pair that validates: for each gripper up to
+    """Key of the scene and gripper of every pair that validates: for each gripper up to
     `config.validation_pairs` scenes in which it has a positive, in an order by a hash of their
     names, so that every gripper is there and growing data changes little.
     """
@@ -54,8 +54,8 @@ def validation_pairs(
         for name in entry.positives():
             if name in config.grippers or is_procedural(name):
                 kind = PROCEDURAL if is_procedural(name) else name
-                order = zlib.crc32(f"{entry.name} {name}".encode())
-                found.setdefault(kind, []).append((order, entry.name, name))
+                order = zlib.crc32(f"{entry.key} {name}".encode())
+                found.setdefault(kind, []).append((order, entry.key, name))
     return tuple(
         (scene, gripper)
         for kind in sorted(found)
@@ -78,7 +78,7 @@ def validate(
 
     Args:
         model: with averaged weights.
-        entries: by scene name.
+        entries: by key.
         pairs: of `validation_pairs`; those whose scene is gone are left out.
         tokens: of every gripper of the pairs.
         config: of the run.
