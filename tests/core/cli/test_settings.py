@@ -20,8 +20,8 @@ def test_values_take_the_type_of_their_field():
     assert (network.width, network.s_min, network.scene_tokens) == (96, 0.015, (52, 26, 17))
     config = changed(
         TrainConfig(),
-        ["low_levels=0.3", "nearest_copy=true", "learning_rate=1", "weight_decay=1e-4", "sampler.steps=12",
-         "sampler.kind=deterministic", "train_only=heads", "model_id=mine"],
+        ["low_levels=0.3", "nearest_copy=true", "learning_rate=1", "weight_decay=1e-4",
+         "sampler.steps=12", "sampler.kind=deterministic", "train_only=heads", "model_id=mine"],
         "--set",
     )  # fmt: skip
     assert config.low_levels == 0.3 and config.nearest_copy is True
