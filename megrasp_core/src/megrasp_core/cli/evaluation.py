@@ -196,8 +196,9 @@ def bench(
         emit(content, out)
         return 0
     if stage == "data":
-        from ..evaluation.bench_data import GRIPPERS, bench_data
+        from ..evaluation.bench_data import bench_data
         from ..evaluation.rate_tables import rate_tables
+        from ..training import GRIPPERS
 
         write = block_writer(page, "rates") if page is not None else None
         with progress_bar(len(GRIPPERS), stage) as bar:

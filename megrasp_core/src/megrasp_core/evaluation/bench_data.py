@@ -18,21 +18,6 @@ from ..simulation.free_space import label_timestep
 from .report import hardware
 from .trial_profile import profile_trials
 
-GRIPPERS = (
-    "robotiq_2f85",
-    "franka_hand",
-    "google_gripper",
-    "rethink_gripper",
-    "vx300s_gripper",
-    "robotiq_3f",
-    "allegro_hand",
-    "shadow_dexee",
-    "shadow_hand",
-    "shadow_hand_3f",
-    "shadow_hand_2f",
-)
-"""All own descriptions but those kept for zero-shot."""
-
 REFERENCE_TIMESTEP = 0.002
 NOISE = 5e-5
 """Standard deviation of the moves that show how far two runs at 2 ms agree (m)."""
