@@ -13,12 +13,18 @@ from megrasp_core.cli import main
 from megrasp_core.datasets import Kind, ObjectSet, SceneDataset, SceneRecord, SceneWriter
 from megrasp_core.diffusion import SamplerSettings
 from megrasp_core.errors import DataError
+from megrasp_core.evaluation.collision_causes import CollisionCauses
 from megrasp_core.evaluation.sample_rates import sample_rates
 from megrasp_core.grippers import load_gripper
 from megrasp_core.lie.pose import pose7_from_matrix
 from megrasp_core.network import PRESETS, GraspModel, save_model
 from megrasp_core.simulation import Bin
-from megrasp_core.training.model_samples import SampleSettings, judge_poses, label_samples
+from megrasp_core.training.model_samples import (
+    SampleSettings,
+    judge_poses,
+    label_samples,
+    world_of,
+)
 
 SETTINGS = SampleSettings(
     samples=6, judged=2, colliding=3, sampler=SamplerSettings(steps=2, restarts=0)
@@ -62,6 +68,22 @@ def test_poses_get_the_verdict_of_the_scene(record):
     assert labels.label.tolist() == [0, 0]
     assert labels.reason.tolist() == ["no_contact", "start_collision"]
     assert set(labels.kind.tolist()) == {int(Kind.SAMPLED)}
+
+
+def test_collisions_are_told_by_depth_and_sight(record):
+    gripper = load_gripper("robotiq_2f85")
+    down = np.diag([1.0, -1.0, -1.0, 1.0])
+    poses = np.stack([down] * 3)
+    # The origin of the gripper is its flange: far off, 30 mm into the table, far off.
+    reach = gripper.gripper_from_tcp[2, 3]
+    poses[:, 2, 3] = 0.5, reach - 0.03, 0.5
+    seen, unseen = CollisionCauses(), CollisionCauses()
+    world = world_of(record, gripper, ObjectSet(()))
+    whole = np.stack(np.meshgrid(*[np.arange(-0.1, 0.1, 0.004)] * 2, [0.0]), -1).reshape(-1, 3)
+    seen.add(dataclasses.replace(record, points=whole.astype(np.float16)), world, poses)
+    unseen.add(dataclasses.replace(record, points=whole[:1].astype(np.float16)), world, poses)
+    assert dataclasses.astuple(seen) == (1, 1, 1, 0)
+    assert dataclasses.astuple(unseen) == (1, 1, 1, 1)
 
 
 def test_a_run_writes_copies_and_resumes(record, tmp_path):
@@ -116,7 +138,9 @@ def test_models_are_compared_by_samples_in_the_same_scenes(record, tmp_path, cap
             assert rates["unfiltered"]["trials"] == rates["colliding"]["trials"] == 6
             assert rates["unfiltered"]["successes"] + rates["colliding"]["successes"] <= 6
             assert rates["evaluations"] == 2
-    assert page.read_text().count("\n| ") == 4
+            causes = rates["colliding_at_pre_grasp"]
+            assert causes["over_10_mm"] <= causes["over_5_mm"] <= causes["count"] <= 6
+    assert page.read_text().count("\n| ") == 8
     assert main([*arguments[:-2], "--grasps", "0"]) == 2
     assert "expected at least one each" in capsys.readouterr().err
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
@@ -18,8 +19,9 @@ from ..machine import processor
 from ..network import GraspModel, load_model
 from ..pointcloud import SceneSettings
 from ..training import TrainConfig, TrainingEntry, read_entries, validate, validation_pairs
-from ..training.model_samples import SampleSettings, draw_poses, judge_poses
+from ..training.model_samples import SampleSettings, draw_poses, judge_poses, world_of
 from ..training.rack import GripperRack
+from .collision_causes import CollisionCauses
 from .statistics import cluster_bootstrap
 
 
@@ -47,7 +49,8 @@ def compare_models(
         Content of the result file: per model the diffusion loss on the scenes' grasps, by gripper
         and band of noise, for all grippers that training knows; per model and gripper the share
         of samples that hold (unfiltered) and that collide at the pre-grasp or, in bins, on the
-        way to it; intervals by cluster bootstrap over the scenes.
+        way to it, intervals by cluster bootstrap over the scenes; and of those that collide at
+        the pre-grasp how deep and with what (`CollisionCauses`).
 
     Raises:
         DataError: no scene is left for a gripper.
@@ -104,16 +107,21 @@ def sample_rates(
     each = -(-grasps // len(records))
     settings = SampleSettings(samples=each, judged=each, colliding=each, seed=seed)
     held, hit, tried = [], [], []
+    causes = CollisionCauses()
+    tcp_from_gripper = np.linalg.inv(np.asarray(gripper.gripper_from_tcp, np.float64))
     for record in records:
         poses = draw_poses(record, model, gripper, settings)
         labels = judge_poses(record, gripper, objects, poses, settings)
         held.append(int((labels.label == 1).sum()))
         hit.append(int(np.char.endswith(labels.reason, "_collision").sum()))
         tried.append(len(labels))
+        world_from_gripper = np.asarray(poses @ tcp_from_gripper, np.float64)
+        causes.add(record, world_of(record, gripper, objects), world_from_gripper)
     return {
         "scenes": len(records),
         "unfiltered": cluster_bootstrap(held, tried).to_json(),
         "colliding": cluster_bootstrap(hit, tried).to_json(),
+        "colliding_at_pre_grasp": dataclasses.asdict(causes),
         "evaluations": (settings.sampler or SamplerSettings.of(model.info)).evaluations,
     }
 
@@ -159,11 +167,13 @@ def _losses(
 
 
 def comparison_table(content: dict[str, Any]) -> str:
-    """The result of `compare_models` as a Markdown table."""
+    """The result of `compare_models` as two Markdown tables: losses and rates; why samples
+    collide.
+    """
     grippers = content["grippers"]
     head = ["model", "parameters", "poses", "CPU-s", "loss s < 0.1", "0.1 to 0.3", "over 0.3"]
     head += [f"{name}: {what}" for name in grippers for what in ("holds", "collides")]
-    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    rates, causes = [], []
     for row in content["rows"]:
         bands = row["validation"]["per_band"]
         cells = [
@@ -178,5 +188,29 @@ def comparison_table(content: dict[str, Any]) -> str:
                 rate = row[name][what]
                 low, high = rate["ci95"]
                 cells.append(f"{100 * rate['rate']:.0f} % [{100 * low:.0f}, {100 * high:.0f}]")
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+        rates.append(cells)
+        found = [row[name]["colliding_at_pre_grasp"] for name in grippers]
+        causes.append(
+            [
+                row["model"],
+                *(
+                    f"{one['over_5_mm']} / {one['over_10_mm']} / {one['out_of_sight']}"
+                    f" of {one['count']}"
+                    for one in found
+                ),
+            ]
+        )
+    why = ["model", *(f"{name}: over 5 mm / over 10 mm / out of sight" for name in grippers)]
+    return (
+        _table(head, rates) + "\nSamples that collide at the pre-grasp:\n\n" + _table(why, causes)
+    )
+
+
+def _table(head: list[str], rows: list[list[str]]) -> str:
+    return (
+        "\n".join(
+            ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+            + ["| " + " | ".join(cells) + " |" for cells in rows]
+        )
+        + "\n"
+    )

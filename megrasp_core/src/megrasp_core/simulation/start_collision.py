@@ -32,6 +32,23 @@ def start_depths(
     return depths
 
 
+def start_contacts(
+    world: World, world_from_gripper: NDArray[np.float64]
+) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Penetrations (k,) (m) and places (k, 3) (m, world) of the open gripper's contacts at each
+    pose (n, 4, 4); otherwise as `start_depths`.
+    """
+    saved = world.save()
+    found = []
+    with _gripper_contacts_only(world):
+        for pose in world_from_gripper:
+            world.place_gripper(pose, "open")
+            world.detect_contacts()
+            found.append(world.gripper_contacts())
+    world.restore(saved)
+    return found
+
+
 @contextmanager
 def _gripper_contacts_only(world: World) -> Iterator[None]:
     """Let objects and support touch nothing but the gripper."""

@@ -206,6 +206,16 @@ class World:
         involved = (self.owner[contact.geom] == GRIPPER).any(axis=1)
         return float(max(0.0, -distance[involved].min(initial=0.0)))
 
+    def gripper_contacts(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Penetration (n,) (m) and place (n, 3) (m, world) of the gripper's contacts with anything
+        else in the last step or detection.
+        """
+        contact = self.data.contact
+        if contact.dist.size == 0:
+            return np.zeros(0), np.zeros((0, 3))
+        involved = (self.owner[contact.geom] == GRIPPER).any(axis=1)
+        return -contact.dist[involved], contact.pos[involved].copy()
+
     def touched(self) -> tuple[set[int], bool]:
         """Objects that touched the gripper in the last step, and whether table or bin did."""
         owner = self.owner[self.data.contact.geom]

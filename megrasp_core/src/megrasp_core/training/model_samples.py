@@ -27,7 +27,7 @@ from ..grippers import Gripper, load_gripper
 from ..lie.pose import matrix_from_pose7, pose7_from_matrix
 from ..network import GraspModel
 from ..pointcloud import SceneSettings
-from ..simulation import approach_path, build_world, judge, start_depths
+from ..simulation import World, approach_path, build_world, judge, start_depths
 from ..synthesizer.starts import draw_starts
 
 
@@ -83,6 +83,17 @@ def draw_poses(
     return poses
 
 
+def world_of(record: SceneRecord, gripper: Gripper, objects: ObjectSet) -> World:
+    """A stored scene as it settled, with a gripper."""
+    return build_world(
+        [objects[name] for name in record.object_names],
+        gripper=gripper,
+        bin=record.bin,
+        obstacles=set(np.flatnonzero(record.obstacle).tolist()),
+        object_poses=matrix_from_pose7(record.object_poses.astype(np.float64)),
+    )
+
+
 def judge_poses(
     record: SceneRecord,
     gripper: Gripper,
@@ -91,13 +102,7 @@ def judge_poses(
     settings: SampleSettings,
 ) -> GripperLabels:
     """Label poses by the verdict in the record's scene; in a bin with the approach path."""
-    world = build_world(
-        [objects[name] for name in record.object_names],
-        gripper=gripper,
-        bin=record.bin,
-        obstacles=set(np.flatnonzero(record.obstacle).tolist()),
-        object_poses=matrix_from_pose7(record.object_poses.astype(np.float64)),
-    )
+    world = world_of(record, gripper, objects)
     # Objects at rest sleep until touched: half the time, the same verdicts.
     world.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
     state = world.save()
