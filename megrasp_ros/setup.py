@@ -3,7 +3,13 @@
 from setuptools import find_packages, setup
 
 NAME = "megrasp_ros"
-NODES = ("grasp_server", "sim_cell", "bin_clearing", "tool_changer", "cloud_replay")
+NODES = {
+    "grasp_server": "server.grasp_server",
+    "sim_cell": "cell.sim_cell",
+    "bin_clearing": "clearing.bin_clearing",
+    "tool_changer": "tool_changer",
+    "cloud_replay": "cloud_replay",
+}
 
 setup(
     name=NAME,
@@ -20,5 +26,7 @@ setup(
     maintainer_email="megrasp@users.noreply.github.com",
     description="ROS 2 nodes of Megrasp.",
     license="Apache-2.0",
-    entry_points={"console_scripts": [f"{node} = {NAME}.{node}:main" for node in NODES]},
+    entry_points={
+        "console_scripts": [f"{node} = {NAME}.{module}:main" for node, module in NODES.items()]
+    },
 )

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 ROS_FOLDERS = {"ros"}
+SUPPORT = Path(__file__).parent / "support"
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -64,7 +65,7 @@ def no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
 def ray_cluster() -> Iterator[None]:
     """Start Ray on this machine, or skip; its workers find the helper modules of the tests."""
     ray = pytest.importorskip("ray", reason="ray is missing: pip install 'megrasp-core[ray]'")
-    helpers = [str(Path(__file__).parent / "core" / "datasets"), os.environ.get("PYTHONPATH", "")]
+    helpers = [str(SUPPORT), os.environ.get("PYTHONPATH", "")]
     ray.init(
         num_cpus=2,
         include_dashboard=False,

@@ -18,7 +18,7 @@ from megrasp_msgs.srv import ListGrippers, SetGripper, SynthesizeGrasps
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
-from megrasp_ros.waiting import wait_for_future
+from .waiting import wait_for_future
 
 
 class GraspServerError(Exception):

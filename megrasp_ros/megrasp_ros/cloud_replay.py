@@ -9,8 +9,9 @@ from sensor_msgs.msg import PointCloud2
 
 from megrasp_core.errors import InvalidRequestError
 from megrasp_core.pointcloud import read_cloud
-from megrasp_ros.cell_messages import cloud_message
-from megrasp_ros.node_main import run_node
+
+from .node_main import run_node
+from .sensor_messages import cloud_message
 
 
 class CloudReplay(Node):

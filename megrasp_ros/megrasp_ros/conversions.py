@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
 from megrasp_core.errors import CloudError, InvalidRequestError
-from megrasp_core.lie.pose import matrix_from_pose7, pose7_from_matrix
+from megrasp_core.lie import matrix_from_pose7, pose7_from_matrix
 from megrasp_core.pointcloud import OrientedBox
 
 FloatArray = NDArray[np.float64]

@@ -19,9 +19,10 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from megrasp_core.errors import InvalidRequestError
-from megrasp_ros.node_main import run_node
-from megrasp_ros.qos import LATCHED
-from megrasp_ros.waiting import wait_for_future
+
+from .node_main import run_node
+from .qos import LATCHED
+from .waiting import wait_for_future
 
 BACKENDS = ("none", "service")
 

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2, PointField
 
 from megrasp_core.errors import CloudError, InvalidRequestError
-from megrasp_ros.cell_messages import cloud_message
 from megrasp_ros.conversions import (
     box_from_message,
     matrix_from_numbers,
@@ -21,6 +20,7 @@ from megrasp_ros.conversions import (
     points_from_cloud,
     pose_from_matrix,
 )
+from megrasp_ros.sensor_messages import cloud_message
 
 POINTS = np.array([[0.1, -0.2, 0.3], [1.0, 2.0, 3.0], [-4.5, 0.0, 0.25], [7.0, 8.0, 9.0]])
 

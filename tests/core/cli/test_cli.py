@@ -233,7 +233,7 @@ def test_optical_top_down_uses_the_origin_as_sensor(capsys, model, cloud, tmp_pa
     )  # fmt: skip
     content = json.loads(out.read_text())
     assert code in (0, 1) and content["frame"] == "optical"
-    from megrasp_core.lie.pose import matrix_from_pose7
+    from megrasp_core.lie import matrix_from_pose7
 
     for grasp in content["grasps"]:
         axis = matrix_from_pose7(grasp["world_from_tcp"])[2, 2]

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
+from made_library import made_library
 
 from megrasp_core.cli import main
-from megrasp_core.datasets import pack_library, write_grasp_set
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "datasets"))
-from made_library import made_library
+from megrasp_core.library import pack_library, write_grasp_set
 
 
 def run(capsys, *args: object) -> tuple[int, str, str]:

@@ -13,10 +13,10 @@ import pytest
 from gripper_cases import SENSIBLE, slide_pair
 
 from megrasp_core.errors import DescriptionError, UnknownGripperError
+from megrasp_core.gripper_tools.check import check_gripper
 from megrasp_core.grippers import (
     Gripper,
     cad_folders,
-    check_gripper,
     gripper_folders,
     list_grippers,
     load_gripper,

@@ -26,11 +26,11 @@ from mistakes import CHECK, LOAD, Write
 from tiny_gripper import put, write
 
 from megrasp_core.errors import MegraspError, UnknownGripperError
+from megrasp_core.gripper_tools import check
+from megrasp_core.gripper_tools.check import GripperCheck
 from megrasp_core.grippers import (
     Gripper,
-    GripperCheck,
     actuation,
-    check,
     description,
     fields,
     load_description,

@@ -12,18 +12,19 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from megrasp_core.cli.app import main
+from megrasp_core.cli import main
 from megrasp_core.errors import InvalidRequestError
-from megrasp_core.grippers import Gripper, list_grippers, load_description, load_gripper, opening
-from megrasp_core.grippers.compare import pad_displacement
-from megrasp_core.grippers.family import (
-    FAMILY_KINDS,
-    RANGES,
-    draw_parameters,
+from megrasp_core.gripper_tools.compare import opening, pad_displacement
+from megrasp_core.grippers import (
+    Gripper,
     is_whole,
+    list_grippers,
+    load_description,
+    load_gripper,
     sample_gripper,
     write_gripper,
 )
+from megrasp_core.grippers.family import FAMILY_KINDS, RANGES, draw_parameters
 from megrasp_core.grippers.posture import settle
 
 SEEDS = st.integers(0, 2**31)

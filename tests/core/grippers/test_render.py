@@ -14,15 +14,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from megrasp_core.grippers import Gripper, load_gripper, render
-from megrasp_core.grippers.render import (
-    Mesh,
-    SurfaceSample,
-    draw,
-    farthest,
-    render_cloud,
-    visible,
-)
+from megrasp_core.grippers import Gripper, Mesh, load_gripper, render, render_cloud
+from megrasp_core.grippers.render import SurfaceSample, draw, farthest, visible
 
 RADIUS = 0.05
 EXTENTS = np.array([0.10, 0.06, 0.04])

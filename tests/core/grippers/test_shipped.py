@@ -12,18 +12,12 @@ import numpy as np
 import pytest
 from gripper_cases import OWN_JAWS
 
+from megrasp_core.drawing.gripper_picture import gripper_picture
 from megrasp_core.errors import DescriptionError, InvalidRequestError, UnknownGripperError
-from megrasp_core.grippers import (
-    Gripper,
-    check_gripper,
-    gripper_folders,
-    gripper_picture,
-    list_grippers,
-    load_gripper,
-    opening,
-    symmetry_residual,
-)
-from megrasp_core.grippers.compare import pad_displacement, surface_distance
+from megrasp_core.gripper_tools.check import check_gripper
+from megrasp_core.gripper_tools.compare import opening, pad_displacement, surface_distance
+from megrasp_core.gripper_tools.symmetry import symmetry_residual
+from megrasp_core.grippers import Gripper, gripper_folders, list_grippers, load_gripper
 
 TCP = {
     "franka_hand": 0.1034,

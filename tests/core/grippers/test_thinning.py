@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from megrasp_core.grippers.clouds import make_clouds
-from megrasp_core.grippers.geometry import BodyMesh
-from megrasp_core.grippers.render import Mesh
+from megrasp_core.grippers import BodyMesh, Mesh, make_clouds
 from megrasp_core.grippers.thinning import MOST, thinned
 
 

@@ -8,8 +8,14 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 from megrasp_core.errors import InvalidRequestError
-from megrasp_core.objects import OBJECT_KINDS, OBSTACLE_KINDS, ObjectModel, procedural_object
-from megrasp_core.objects.solids import mass_properties, volume_of
+from megrasp_core.objects import (
+    OBJECT_KINDS,
+    OBSTACLE_KINDS,
+    ObjectModel,
+    mass_properties,
+    procedural_object,
+)
+from megrasp_core.objects.solids import volume_of
 
 SEEDS = range(8)
 KINDS = [*OBJECT_KINDS, *OBSTACLE_KINDS]
@@ -146,7 +152,8 @@ def test_unknown_kinds_and_seeds() -> None:
 
 
 def test_mass_properties_of_a_known_box_and_of_its_halves() -> None:
-    from megrasp_core.objects.solids import blocks, box
+    from megrasp_core.objects import box
+    from megrasp_core.objects.solids import blocks
 
     whole = mass_properties(box([0.1, 0.2, 0.3]).pieces)
     assert whole.volume == pytest.approx(0.006)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from megrasp_core.errors import CloudError
 from megrasp_core.pointcloud import estimate_normals, neighbours, remove_outliers, voxel_means
-from megrasp_core.pointcloud.neighbours import smallest_eigenvectors
+from megrasp_core.pointcloud.knn import smallest_eigenvectors
 
 
 def test_neighbours_equal_the_full_distance_matrix() -> None:

@@ -17,6 +17,7 @@ import pytest
 import torch
 from training_scenes import GRIPPER, record, written
 
+from megrasp_core.drawing.training_curves import append_losses, read_losses
 from megrasp_core.errors import DataError, InvalidRequestError, TrainingError
 from megrasp_core.network import PRESETS, load_model
 from megrasp_core.training import (
@@ -28,7 +29,6 @@ from megrasp_core.training import (
     resume_training,
     train,
 )
-from megrasp_core.training.curves import append_losses, read_losses
 from megrasp_core.training.processes import Team
 
 CONFIG = TrainConfig(

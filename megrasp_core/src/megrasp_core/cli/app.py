@@ -10,13 +10,14 @@ import logging
 import sys
 from collections.abc import Sequence
 
-from ..errors import (
+from megrasp_core.errors import (
     CancelledError,
     MegraspError,
     RequestTimeoutError,
     SimulationError,
     TrainingError,
 )
+
 from . import commands
 
 __all__ = ["main"]

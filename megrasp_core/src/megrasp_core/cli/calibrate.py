@@ -40,14 +40,14 @@ def calibrate(
         write: put the result into the model's config.json, where every synthesis finds it.
         seed: of scenes, noise and samples.
     """
-    from ..evaluation.calibration import calibrate as fit
-    from ..evaluation.calibration import judged_grasps
-    from ..evaluation.object_pool import graspable_objects, validation_pool
-    from ..evaluation.planner import ModelPlanner
-    from ..evaluation.protocols import ProtocolSettings
-    from ..grippers import load_gripper
-    from ..network import find_model
-    from ..synthesizer import GraspSynthesizer
+    from megrasp_core.evaluation.calibration import calibrate as fit
+    from megrasp_core.evaluation.calibration import judged_grasps
+    from megrasp_core.evaluation.object_pool import graspable_objects, validation_pool
+    from megrasp_core.evaluation.planners import ModelPlanner
+    from megrasp_core.evaluation.protocols import ProtocolSettings
+    from megrasp_core.grippers import load_gripper
+    from megrasp_core.network import find_model
+    from megrasp_core.synthesizer import GraspSynthesizer
 
     settings = ProtocolSettings(scenes=scenes, judged=judged, drawn=drawn, seed=seed)
     pool = validation_pool()

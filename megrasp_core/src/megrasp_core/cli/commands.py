@@ -6,25 +6,25 @@ from tyro.extras import SubcommandApp
 
 from .calibrate import calibrate
 from .compare import compare
-from .data import grasps, scenes, stats
-from .data_plan import plan
+from .data.generate import grasps, scenes, stats
+from .data.look import look
+from .data.pack import pack
+from .data.plan import plan
+from .data.render import render as render_recipes
+from .data.robust import robust
+from .data.rollouts import rollouts
+from .data.verify import verify
 from .demo import demo
 from .evaluation import bench, evaluation, samples
-from .family import sample
-from .fidelity import fidelity
-from .frames import frames
-from .gripper import check, listed, render, show
-from .look import look
+from .gripper.fidelity import fidelity
+from .gripper.frames import frames
+from .gripper.inspect import check, listed, render, show
+from .gripper.new import new, score_wizard
+from .gripper.postures import postures
+from .gripper.sample import sample
 from .objects import generate
-from .pack import pack
-from .postures import postures
-from .render import render as render_recipes
-from .robust import robust
-from .rollouts import rollouts
 from .synthesize import synthesize
 from .train import train
-from .verify import verify
-from .wizard import new, score_wizard
 
 __all__ = ["app"]
 

@@ -22,12 +22,12 @@ from typing import (
 
 import tyro
 
-from ..errors import InvalidRequestError
+from megrasp_core.errors import InvalidRequestError
 
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-    from ..pointcloud import OrientedBox
+    from megrasp_core.pointcloud import OrientedBox
 
 __all__ = [
     "Flag",
@@ -100,8 +100,8 @@ def read_region(path: Path) -> tuple[OrientedBox, bool]:
     """
     import yaml
 
-    from ..lie.pose import matrix_from_pose7
-    from ..pointcloud import OrientedBox
+    from megrasp_core.lie import matrix_from_pose7
+    from megrasp_core.pointcloud import OrientedBox
 
     expected = (
         "expected JSON or YAML with pose: [x, y, z, qx, qy, qz, qw] and size: [x, y, z] (m), and "

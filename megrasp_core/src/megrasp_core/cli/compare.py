@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..errors import InvalidRequestError
+from megrasp_core.errors import InvalidRequestError
+
 from .common import Names, block_writer, emit, progress_bar
 
 __all__ = ["compare"]
@@ -40,7 +41,7 @@ def compare(
     """
     import torch
 
-    from ..evaluation.sample_rates import compare_models, comparison_table
+    from megrasp_core.evaluation.sample_rates import compare_models, comparison_table
 
     if not models or grasps < 1:
         raise InvalidRequestError(

@@ -35,7 +35,7 @@ def demo(
         seed: of the objects and the samples.
         out: JSON with the summary and every pick.
     """
-    from ..evaluation.demo import run_demo
+    from megrasp_core.cell.demo import run_demo
 
     summary = run_demo(
         grippers=gripper,

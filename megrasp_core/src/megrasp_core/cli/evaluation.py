@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from ..errors import InvalidRequestError
+from megrasp_core.errors import InvalidRequestError
+
 from .common import Flag, block_writer, emit, progress_bar, say
 
 if TYPE_CHECKING:
-    from ..evaluation.planner import Planner
-    from ..evaluation.report import EvaluationResult
+    from megrasp_core.evaluation.planners import Planner
+    from megrasp_core.evaluation.report import EvaluationResult
 
 __all__ = ["bench", "evaluation", "samples"]
 
@@ -65,13 +66,13 @@ def evaluation(
         threads: torch threads.
         seed: of scenes, noise and samples.
     """
-    from ..evaluation.ceiling import CeilingPlanner
-    from ..evaluation.object_pool import graspable_objects, load_pool
-    from ..evaluation.planner import AntipodalPlanner, ModelPlanner
-    from ..evaluation.protocols import ProtocolSettings
-    from ..evaluation.report import evaluate
-    from ..grippers import load_gripper
-    from ..synthesizer import GraspSynthesizer
+    from megrasp_core.evaluation.ceiling import CeilingPlanner
+    from megrasp_core.evaluation.object_pool import graspable_objects, load_pool
+    from megrasp_core.evaluation.planners import AntipodalPlanner, ModelPlanner
+    from megrasp_core.evaluation.protocols import ProtocolSettings
+    from megrasp_core.evaluation.report import evaluate
+    from megrasp_core.grippers import load_gripper
+    from megrasp_core.synthesizer import GraspSynthesizer
 
     settings = ProtocolSettings(
         protocol=protocol, scenes=scenes, samples=samples, drawn=drawn, returned=returned,
@@ -175,7 +176,7 @@ def bench(
             "with --stage training and none otherwise."
         )
     if data is not None and against is not None:
-        from ..evaluation.bench_training import bench_training
+        from megrasp_core.benchmarks.training import bench_training
 
         with progress_bar(None, stage) as bar:
             content = bench_training(
@@ -187,7 +188,7 @@ def bench(
         emit(content, out)
         return 0
     if stage == "render":
-        from ..evaluation.render_bench import bench_rendering
+        from megrasp_core.benchmarks.rendering import bench_rendering
 
         with progress_bar(None, stage) as bar:
             content = bench_rendering(
@@ -196,9 +197,9 @@ def bench(
         emit(content, out)
         return 0
     if stage == "data":
-        from ..evaluation.bench_data import bench_data
-        from ..evaluation.rate_tables import rate_tables
-        from ..training import GRIPPERS
+        from megrasp_core.benchmarks.data import bench_data
+        from megrasp_core.benchmarks.rate_tables import rate_tables
+        from megrasp_core.training import GRIPPERS
 
         write = block_writer(page, "rates") if page is not None else None
         with progress_bar(len(GRIPPERS), stage) as bar:
@@ -207,8 +208,8 @@ def bench(
         if write is not None:
             write(rate_tables(content))
         return 0
-    from ..evaluation.bench import bench_synthesis
-    from ..synthesizer import GraspSynthesizer
+    from megrasp_core.benchmarks.synthesis import bench_synthesis
+    from megrasp_core.synthesizer import GraspSynthesizer
 
     synthesizer = GraspSynthesizer.load(model, gripper, device=device, threads=threads)
     with progress_bar(None, stage) as bar:
@@ -245,9 +246,9 @@ def samples(
         scenes: only the first so many scenes.
         seed: of the samples.
     """
-    from ..datasets import ObjectSet
-    from ..network import load_model
-    from ..training.model_samples import SampleSettings, label_samples
+    from megrasp_core.network import load_model
+    from megrasp_core.objects import ObjectSet
+    from megrasp_core.self_labelling.samples import SampleSettings, label_samples
 
     won = tried = 0
     with progress_bar(scenes, "samples") as bar:

@@ -26,7 +26,7 @@ def generate(
         count: how many.
         seed: of the first; the others follow.
     """
-    from ..objects import generate_objects
+    from megrasp_core.objects import generate_objects
 
     with progress_bar(count, "objects") as bar:
         folders = generate_objects(destination, count, seed, lambda done, total: bar.update())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 from .common import progress_bar, say
 
 if TYPE_CHECKING:
-    from ..datasets import ExecutorConfig, Progress, RunSummary
+    from megrasp_core.jobs import ExecutorConfig, Progress, RunSummary
 
 __all__ = ["Executor", "executor_of", "finished", "run_bar"]
 
@@ -19,7 +19,7 @@ Executor = Literal["local", "ray"]
 
 def executor_of(kind: Executor, address: str | None, workers: int) -> ExecutorConfig:
     """Where to run."""
-    from ..datasets import ExecutorConfig
+    from megrasp_core.jobs import ExecutorConfig
 
     return ExecutorConfig(kind, workers, address)
 

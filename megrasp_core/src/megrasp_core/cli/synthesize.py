@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 import tyro
 
-from ..errors import GravityError, InvalidRequestError
+from megrasp_core.errors import GravityError, InvalidRequestError
+
 from .common import Flag, progress_bar, read_region, say
 
 if TYPE_CHECKING:
-    from ..pointcloud import Cloud
-    from ..synthesizer import Synthesis
+    from megrasp_core.pointcloud import Cloud
+    from megrasp_core.synthesizer import Synthesis
 
 __all__ = ["synthesize"]
 
@@ -78,8 +79,8 @@ def synthesize(
     """
     down = _gravity(frame, gravity, top_down)
     box, walls = (None, True) if region is None else read_region(region)
-    from ..pointcloud import read_cloud
-    from ..synthesizer import GraspSynthesizer, SynthesisRequest
+    from megrasp_core.pointcloud import read_cloud
+    from megrasp_core.synthesizer import GraspSynthesizer, SynthesisRequest
 
     # Before anything slow is loaded: bad numbers are told at once.
     SynthesisRequest(
@@ -122,7 +123,7 @@ def synthesize(
         result.write_json(out, frame)
         say(f"wrote {out}")
     if picture is not None:
-        from ..evaluation.pictures import save_grasp_picture
+        from megrasp_core.drawing.grasp_picture import save_grasp_picture
 
         assert synthesizer.gripper is not None
         save_grasp_picture(picture, points, result, synthesizer.gripper, region=box, gravity=down)

@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from ..errors import InvalidRequestError
+from megrasp_core.errors import InvalidRequestError
+
 from .common import Flag, changed, progress_bar, say
 
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-    from ..network import GraspModel
-    from ..training import TrainConfig, TrainingRun
+    from megrasp_core.network import GraspModel
+    from megrasp_core.training import TrainConfig, TrainingRun
 
 __all__ = ["train"]
 
@@ -77,10 +78,10 @@ def train(
     """
     import torch
 
-    from ..network import load_model
-    from ..training import TrainingJob, resume_training
-    from ..training import train as begin_training
-    from ..training.checkpoint import TENSORS as CHECKPOINT
+    from megrasp_core.network import load_model
+    from megrasp_core.training import TrainingJob, resume_training
+    from megrasp_core.training import train as begin_training
+    from megrasp_core.training.checkpoint import TENSORS as CHECKPOINT
 
     job = TrainingJob(
         data=tuple(data),
@@ -163,8 +164,8 @@ def _config(
     total_poses: int | None,
     seed: int,
 ) -> TrainConfig:
-    from ..network import PRESETS
-    from ..training import TrainConfig
+    from megrasp_core.network import PRESETS
+    from megrasp_core.training import TrainConfig
 
     config = TrainConfig(
         network=changed(PRESETS[preset], network, "--network"),

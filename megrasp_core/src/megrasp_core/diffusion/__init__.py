@@ -1,17 +1,10 @@
 """Diffusion on SE(3): noise schedule, forward process, samplers."""
 
-from megrasp_core.diffusion.forward import apply_residual, perturb, score_target, target
-from megrasp_core.diffusion.mixture import PointMixture
-from megrasp_core.diffusion.sampler import (
-    Denoise,
-    SamplerStep,
-    descend,
-    last_step,
-    refine,
-    sample_steps,
-)
-from megrasp_core.diffusion.schedule import NoiseSchedule
-from megrasp_core.diffusion.settings import SamplerSettings
+from .forward import apply_residual, perturb, score_target, target
+from .mixture import PointMixture
+from .sampler import Denoise, SamplerStep, descend, last_step, refine, sample_steps
+from .schedule import NoiseSchedule
+from .settings import SamplerSettings
 
 __all__ = [
     "Denoise",

@@ -11,9 +11,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from megrasp_core.diffusion.schedule import NoiseSchedule
-from megrasp_core.lie import igso3, so3
-from megrasp_core.lie.precision import full_precision
+from megrasp_core.lie import full_precision, igso3, so3
+
+from .schedule import NoiseSchedule
 
 
 @full_precision

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from megrasp_core.diffusion.forward import target
-from megrasp_core.diffusion.schedule import NoiseSchedule
 from megrasp_core.lie import igso3, so3
+
+from .forward import target
+from .schedule import NoiseSchedule
 
 
 @dataclass(frozen=True)

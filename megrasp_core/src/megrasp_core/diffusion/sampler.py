@@ -17,12 +17,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from megrasp_core.diffusion.forward import perturb
-from megrasp_core.diffusion.schedule import NoiseSchedule
-from megrasp_core.diffusion.settings import SamplerSettings
 from megrasp_core.errors import CancelledError, InvalidRequestError
-from megrasp_core.lie import igso3, so3
-from megrasp_core.lie.precision import full_precision
+from megrasp_core.lie import full_precision, igso3, so3
+
+from .forward import perturb
+from .schedule import NoiseSchedule
+from .settings import SamplerSettings
 
 Denoise = Callable[[Tensor, Tensor, Tensor], Tensor]
 """(R (P, 3, 3), t (P, 3), s (P,)) -> (P, 6): the residual; where `SamplerSettings.uses_score`, its

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from megrasp_core.diffusion.schedule import NoiseSchedule
 from megrasp_core.errors import InvalidRequestError
+
+from .schedule import NoiseSchedule
 
 Kind = Literal["ancestral", "deterministic", "langevin", "probability_flow", "flow_matching"]
 KINDS: tuple[Kind, ...] = (

@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from ..grippers import Gripper
-from ..objects import ObjectModel
-from ..ranking import Calibration, fit_calibration, logistic_features
-from .planner import Planner
+from megrasp_core.grippers import Gripper
+from megrasp_core.objects import ObjectModel
+from megrasp_core.ranking import Calibration, fit_calibration, logistic_features
+
+from .planners import Planner
 from .protocols import ProtocolSettings, run_scene
 from .report import hardware
 

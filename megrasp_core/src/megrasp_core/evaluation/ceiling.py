@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..datasets.candidates import ObjectSurface, antipodal
-from ..errors import InvalidRequestError
-from ..grippers import Gripper
-from ..objects import ObjectModel
-from ..pointcloud import Cloud
-from ..simulation import World, approach_path, judge, start_depths
-from ..synthesizer import RankedGrasp, Synthesis
+from megrasp_core.errors import InvalidRequestError
+from megrasp_core.grippers import Gripper
+from megrasp_core.library import ObjectSurface, antipodal
+from megrasp_core.objects import ObjectModel
+from megrasp_core.pointcloud import Cloud
+from megrasp_core.simulation import World, approach_path, judge, start_depths
+from megrasp_core.synthesizer import RankedGrasp, Synthesis
 
 GRAVITY = np.array([0.0, 0.0, -1.0])
 MAX_DEPTH = 0.001

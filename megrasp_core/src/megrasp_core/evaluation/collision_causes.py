@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ..datasets import SceneRecord
-from ..simulation import World
-from ..simulation.start_collision import start_contacts
+from megrasp_core.simulation import World, start_contacts
+from megrasp_core.storage import SceneRecord
 
 FREE_DEPTH = 0.001
 """As deep (m) a grasp is free of collision still."""

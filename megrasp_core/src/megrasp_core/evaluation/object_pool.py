@@ -6,11 +6,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..datasets.labelling import LabelSettings, label_object
-from ..datasets.object_set import ObjectSet, asset_names, procedural_names
-from ..errors import InvalidRequestError
-from ..grippers import Gripper
-from ..objects import ObjectModel, load_objects, procedural_object
+from megrasp_core.errors import InvalidRequestError
+from megrasp_core.grippers import Gripper
+from megrasp_core.library import LabelSettings, label_object
+from megrasp_core.objects import (
+    ObjectModel,
+    ObjectSet,
+    asset_names,
+    load_objects,
+    procedural_names,
+    procedural_object,
+)
 
 PROCEDURAL_POOL = 60
 PROCEDURAL_SEED = 900_000

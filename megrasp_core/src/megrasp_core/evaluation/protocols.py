@@ -9,12 +9,13 @@ from typing import Literal
 
 import numpy as np
 
-from ..errors import InvalidRequestError, SimulationError
-from ..grippers import Gripper
-from ..lie.pose import matrix_from_pose7
-from ..objects import ObjectModel, procedural_object
-from ..pointcloud import Cloud, OrientedBox
-from ..simulation import (
+from megrasp_core.cell.rest import come_to_rest
+from megrasp_core.errors import InvalidRequestError, SimulationError
+from megrasp_core.grippers import Gripper
+from megrasp_core.lie import matrix_from_pose7
+from megrasp_core.objects import ObjectModel, procedural_object
+from megrasp_core.pointcloud import Cloud, OrientedBox
+from megrasp_core.simulation import (
     Bin,
     DepthNoise,
     TopDownCamera,
@@ -25,10 +26,10 @@ from ..simulation import (
     ring_cameras,
     settle,
 )
-from ..simulation.cell_rest import come_to_rest
-from ..synthesizer import RankedGrasp, Synthesis
+from megrasp_core.synthesizer import RankedGrasp, Synthesis
+
 from .ceiling import CeilingPlanner
-from .planner import Planner
+from .planners import Planner
 
 ProtocolName = Literal["binpick", "declutter", "single"]
 TABLE_REGION = OrientedBox(

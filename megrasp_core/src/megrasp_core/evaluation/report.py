@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..grippers import Gripper
-from ..machine import processor
-from ..objects import ObjectModel
-from .planner import Planner
+from megrasp_core.grippers import Gripper
+from megrasp_core.machine import processor
+from megrasp_core.objects import ObjectModel
+
+from .planners import Planner
 from .protocols import ProtocolSettings, SceneOutcome, run_scene
 from .statistics import cluster_bootstrap, wilson
 

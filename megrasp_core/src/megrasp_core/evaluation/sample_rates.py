@@ -11,16 +11,24 @@ from typing import Any, cast
 
 import numpy as np
 
-from ..datasets import ObjectSet, SceneDataset, SceneRecord
-from ..diffusion import NoiseSchedule, SamplerSettings
-from ..errors import DataError
-from ..grippers import load_gripper
-from ..machine import processor
-from ..network import GraspModel, load_model
-from ..pointcloud import SceneSettings
-from ..training import TrainConfig, TrainingEntry, read_entries, validate, validation_pairs
-from ..training.model_samples import SampleSettings, draw_poses, judge_poses, world_of
-from ..training.rack import GripperRack
+from megrasp_core.diffusion import NoiseSchedule, SamplerSettings
+from megrasp_core.errors import DataError
+from megrasp_core.grippers import load_gripper
+from megrasp_core.machine import processor
+from megrasp_core.network import GraspModel, load_model
+from megrasp_core.objects import ObjectSet
+from megrasp_core.pointcloud import SceneSettings
+from megrasp_core.self_labelling.samples import SampleSettings, draw_poses, judge_poses, world_of
+from megrasp_core.storage import SceneDataset, SceneRecord
+from megrasp_core.training import (
+    GripperRack,
+    TrainConfig,
+    TrainingEntry,
+    read_entries,
+    validate,
+    validation_pairs,
+)
+
 from .collision_causes import CollisionCauses
 from .statistics import cluster_bootstrap
 

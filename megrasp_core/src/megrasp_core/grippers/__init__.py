@@ -1,9 +1,10 @@
 """Grippers: descriptions, URDF/MJCF loading, postures, renderer, registry (DESIGN section 4)."""
 
-from megrasp_core.grippers.check import GripperCheck, check_gripper
-from megrasp_core.grippers.clouds import GripperClouds, GripperTokens
-from megrasp_core.grippers.compare import Comparison, compare, opening
-from megrasp_core.grippers.description import (
+from .actuation import free_name
+from .clouds import NEAR_TCP, GripperClouds, GripperTokens, make_clouds, surface_points
+from .description import (
+    FILE_NAME,
+    KINDS,
     Actuation,
     GripperDescription,
     Pose,
@@ -11,39 +12,73 @@ from megrasp_core.grippers.description import (
     load_description,
     save_description,
 )
-from megrasp_core.grippers.gripper import Gripper
-from megrasp_core.grippers.picture import gripper_picture
-from megrasp_core.grippers.registry import (
-    cad_folders,
-    cad_twins,
-    gripper_folders,
-    list_grippers,
-    load_gripper,
+from .family.rack import is_procedural, procedural_gripper_name, procedural_rack
+from .family.sample import sample_gripper
+from .family.writing import is_whole, write_gripper
+from .geometry import BodyMesh, body_meshes, body_poses
+from .gripper import POSTURES, Gripper
+from .model import (
+    COLLISION_GROUP,
+    COUPLING_SOLREF,
+    ROOT_BODY,
+    SOLIMP,
+    URDF_ARMATURE,
+    VISUAL_GROUP,
+    build_spec,
+    compile_spec,
+    quiet_mujoco,
 )
-from megrasp_core.grippers.render import render_cloud
-from megrasp_core.grippers.symmetry import symmetry_residual
+from .model_file import MODEL_SUFFIXES, read_xml
+from .model_mistakes import check_spec
+from .posture import SETTLE_DAMPING
+from .registry import cad_folders, cad_twins, gripper_folders, list_grippers, load_gripper
+from .render import Mesh, raycasting_scene, render_cloud
 
 __all__ = [
     "Actuation",
-    "Comparison",
+    "BodyMesh",
+    "COLLISION_GROUP",
+    "COUPLING_SOLREF",
+    "FILE_NAME",
     "Gripper",
-    "GripperCheck",
     "GripperClouds",
     "GripperDescription",
     "GripperTokens",
+    "KINDS",
+    "MODEL_SUFFIXES",
+    "Mesh",
+    "NEAR_TCP",
+    "POSTURES",
     "Pose",
     "PostureDescription",
+    "ROOT_BODY",
+    "SETTLE_DAMPING",
+    "SOLIMP",
+    "URDF_ARMATURE",
+    "VISUAL_GROUP",
+    "body_meshes",
+    "body_poses",
+    "build_spec",
     "cad_folders",
     "cad_twins",
-    "check_gripper",
-    "compare",
+    "check_spec",
+    "compile_spec",
+    "free_name",
     "gripper_folders",
-    "gripper_picture",
+    "is_procedural",
+    "is_whole",
     "list_grippers",
     "load_description",
     "load_gripper",
-    "opening",
+    "make_clouds",
+    "procedural_gripper_name",
+    "procedural_rack",
+    "quiet_mujoco",
+    "raycasting_scene",
+    "read_xml",
     "render_cloud",
+    "sample_gripper",
     "save_description",
-    "symmetry_residual",
+    "surface_points",
+    "write_gripper",
 ]

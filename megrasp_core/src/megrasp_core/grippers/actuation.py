@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from megrasp_core.errors import DescriptionError
-from megrasp_core.grippers.description import Actuation, GripperDescription
-from megrasp_core.grippers.fields import choices
+
+from .description import Actuation, GripperDescription
+from .fields import choices
 
 
 def apply_actuation(spec: mujoco.MjSpec, description: GripperDescription) -> None:

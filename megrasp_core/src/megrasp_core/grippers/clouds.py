@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from megrasp_core.grippers.geometry import BodyMesh, posed
-from megrasp_core.grippers.render import Mesh, SurfaceSample, draw, farthest, render_cloud, visible
-from megrasp_core.grippers.thinning import thinned
+from .geometry import BodyMesh, posed
+from .render import Mesh, SurfaceSample, draw, farthest, render_cloud, visible
+from .thinning import thinned
 
 NEAR_TCP = 0.08
 # A wide gripper may open beyond 8 cm: then up to 1.5 times the nearest point counts as near.

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from megrasp_core.errors import DescriptionError
-from megrasp_core.grippers.fields import Fields, show
-from megrasp_core.grippers.model_file import MODEL_SUFFIXES, find_model
-from megrasp_core.grippers.yaml_file import read_yaml
+
+from .fields import Fields, show
+from .model_file import MODEL_SUFFIXES, find_model
+from .yaml_file import read_yaml
 
 FILE_NAME = "gripper.yaml"
 KINDS = ("parallel", "adaptive", "hand")

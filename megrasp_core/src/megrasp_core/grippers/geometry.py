@@ -11,8 +11,8 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from megrasp_core.grippers.model import COLLISION_GROUP, VISUAL_GROUP
-from megrasp_core.grippers.render import Mesh
+from .model import COLLISION_GROUP, VISUAL_GROUP
+from .render import Mesh
 
 SECTIONS = 24
 GEOMETRY = (

@@ -12,25 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from megrasp_core.errors import InvalidRequestError
-from megrasp_core.grippers.cache import recalled
-from megrasp_core.grippers.clouds import (
-    GripperClouds,
-    GripperTokens,
-    make_clouds,
-    make_tokens,
-    surface_points,
-)
-from megrasp_core.grippers.description import GripperDescription, load_description
-from megrasp_core.grippers.geometry import (
-    BodyMesh,
-    body_meshes,
-    body_poses,
-    geometry_arrays,
-    posed,
-)
-from megrasp_core.grippers.model import build_spec, compile_spec
-from megrasp_core.grippers.posture import Posture, resolve_posture
-from megrasp_core.grippers.render import RENDERER
+
+from .cache import recalled
+from .clouds import GripperClouds, GripperTokens, make_clouds, make_tokens, surface_points
+from .description import GripperDescription, load_description
+from .geometry import BodyMesh, body_meshes, body_poses, geometry_arrays, posed
+from .model import build_spec, compile_spec
+from .posture import Posture, resolve_posture
+from .render import RENDERER
 
 POSTURES = ("open", "closed")
 TOKEN_CLOUD = 1024

@@ -19,12 +19,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from megrasp_core.errors import DescriptionError
-from megrasp_core.grippers.actuation import apply_actuation, free_name
-from megrasp_core.grippers.description import GripperDescription
-from megrasp_core.grippers.fields import choices
-from megrasp_core.grippers.inertia import correct_masses
-from megrasp_core.grippers.model_file import read_xml
-from megrasp_core.grippers.model_mistakes import check_model, check_spec, check_xml, mesh_mistake
+
+from .actuation import apply_actuation, free_name
+from .description import GripperDescription
+from .fields import choices
+from .inertia import correct_masses
+from .model_file import read_xml
+from .model_mistakes import check_model, check_spec, check_xml, mesh_mistake
 
 ROOT_BODY = "gripper"
 VISUAL_GROUP = 2

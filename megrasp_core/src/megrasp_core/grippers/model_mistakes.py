@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from megrasp_core.errors import DescriptionError
-from megrasp_core.grippers.fields import LARGEST, choices
+
+from .fields import LARGEST, choices
 
 AXIS_TOLERANCE = 1e-3
 SMALLEST = 0.004

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from megrasp_core.errors import DescriptionError
-from megrasp_core.grippers.actuation import control_of
-from megrasp_core.grippers.description import GripperDescription, PostureDescription
-from megrasp_core.grippers.fields import choices
-from megrasp_core.grippers.model import quiet_mujoco
+
+from .actuation import control_of
+from .description import GripperDescription, PostureDescription
+from .fields import choices
+from .model import quiet_mujoco
 
 LIMIT_TOLERANCE = 1e-4
 SETTLE_TIME = 2.0

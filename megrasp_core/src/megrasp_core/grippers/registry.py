@@ -12,10 +12,11 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from megrasp_core.errors import DescriptionError, UnknownGripperError
-from megrasp_core.grippers.description import FILE_NAME
-from megrasp_core.grippers.family import load_procedural
-from megrasp_core.grippers.gripper import Gripper
-from megrasp_core.grippers.model_file import ASSET_VARIABLE
+
+from .description import FILE_NAME
+from .family import load_procedural
+from .gripper import Gripper
+from .model_file import ASSET_VARIABLE
 
 SHARE = Path("share") / "gripper_descriptions"
 PATH_VARIABLE = "MEGRASP_GRIPPER_PATH"

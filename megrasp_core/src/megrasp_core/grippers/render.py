@@ -12,7 +12,7 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from megrasp_core.grippers.thinning import thinned
+from .thinning import thinned
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]
 # What else the points depend on: raise the number when the same input gives others.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from megrasp_core.grippers.render import Mesh
+    from .render import Mesh
 
 # Up to MOST triangles in all are left as they are; more become about AIM.
 MOST = 160_000

@@ -15,8 +15,9 @@ import torch
 from torch import Tensor
 
 from megrasp_core.errors import InvalidRequestError
-from megrasp_core.lie.igso3_forms import Values, series_form, small_form
-from megrasp_core.lie.igso3_quantiles import angle_ratio
+
+from .igso3_forms import Values, series_form, small_form
+from .igso3_quantiles import angle_ratio
 
 Form = Literal["auto", "series", "small"]
 

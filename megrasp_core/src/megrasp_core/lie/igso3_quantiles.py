@@ -13,7 +13,7 @@ import math
 import torch
 from torch import Tensor
 
-from megrasp_core.lie.igso3_forms import series_form, small_form
+from .igso3_forms import series_form, small_form
 
 LOWEST_SIGMA = 0.01
 """Below, its quantiles over sigma serve; they differ from their limit by less than 1e-5."""

@@ -8,8 +8,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from megrasp_core.lie import so3
-from megrasp_core.lie.precision import full_precision
+from . import so3
+from .precision import full_precision
 
 
 def make(rotation: Tensor, translation: Tensor) -> Tensor:

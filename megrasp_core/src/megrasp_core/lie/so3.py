@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from megrasp_core.lie.precision import full_precision
+from .precision import full_precision
 
 # Below this squared angle the closed forms lose digits and their derivatives become 0/0; the
 # Taylor series to the order used is exact to float64 there.

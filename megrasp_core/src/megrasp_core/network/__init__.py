@@ -9,10 +9,10 @@ from .scene_encoder import SceneField
 from .storage import find_model, list_models, load_model, model_folders, move_to, save_model
 
 __all__ = [
-    "PRESETS",
     "GraspModel",
     "GripperCode",
     "ModelConfig",
+    "PRESETS",
     "Prediction",
     "SceneField",
     "SceneGraph",

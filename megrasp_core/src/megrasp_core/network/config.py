@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from ..errors import ModelError
+from megrasp_core.errors import ModelError
+
 from .irreps import multiplicities
 
 

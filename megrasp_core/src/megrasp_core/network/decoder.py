@@ -18,7 +18,8 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from ..lie import wigner
+from megrasp_core.lie import wigner
+
 from .config import ModelConfig
 from .convolution import gathered
 from .gripper_encoder import Fourier, GripperCode

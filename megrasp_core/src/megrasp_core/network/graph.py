@@ -15,8 +15,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..errors import InvalidRequestError
-from ..pointcloud import SceneNodes, farthest_points, neighbours
+from megrasp_core.errors import InvalidRequestError
+from megrasp_core.pointcloud import SceneNodes, farthest_points, neighbours
+
 from .config import ModelConfig
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..errors import InvalidRequestError
+from megrasp_core.errors import InvalidRequestError
 
 Sizes = tuple[int, int, int, int, int]
 """Channels of the sources of degrees 0, 1, 2, and channels lifted to degrees 1 and 2."""

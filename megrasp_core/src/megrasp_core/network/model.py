@@ -10,8 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ..grippers import GripperTokens
-from ..pointcloud import SceneNodes, SurfacePoints
+from megrasp_core.grippers import GripperTokens
+from megrasp_core.pointcloud import SceneNodes, SurfacePoints
+
 from .config import ModelConfig
 from .convolution import ReducedConvolution, SelfProduct
 from .decoder import Decoder

@@ -12,7 +12,8 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 
-from ..errors import ModelError
+from megrasp_core.errors import ModelError
+
 from .config import ModelConfig
 from .model import GraspModel
 from .precision import low_precision_pays

@@ -7,8 +7,9 @@ import os
 from pathlib import Path
 
 from megrasp_core.errors import InvalidRequestError, ObjectError
-from megrasp_core.objects.folder import find_objects, load_object
-from megrasp_core.objects.model import ObjectModel
+
+from .folder import find_objects, load_object
+from .model import ObjectModel
 
 # The terms of the other set, kit_bigbird, are not verified: it serves evaluation alone.
 TRAIN_SETS = ("factory", "gso", "gso_vima", "household", "ycb")

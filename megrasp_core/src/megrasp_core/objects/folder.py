@@ -13,7 +13,8 @@ import numpy as np
 import trimesh
 
 from megrasp_core.errors import ObjectError
-from megrasp_core.objects.model import (
+
+from .model import (
     DEFAULT_COLOUR,
     DEFAULT_FRICTION,
     ConvexPiece,
@@ -21,7 +22,7 @@ from megrasp_core.objects.model import (
     FloatArray,
     ObjectModel,
 )
-from megrasp_core.objects.solids import volume_of
+from .solids import volume_of
 
 # What numpy raises for files that are cut short or are something else.
 _DAMAGE = (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from megrasp_core.objects.solids import Solid, blocks, box, ellipsoid, prism, shell, stack
+from .solids import Solid, blocks, box, ellipsoid, prism, shell, stack
 
 Rng = np.random.Generator
 Kind = Callable[[Rng], Solid]

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from megrasp_core.errors import InvalidRequestError
-from megrasp_core.objects.folder import save_object
-from megrasp_core.objects.kinds import OBJECT_KINDS, OBSTACLE_KINDS
-from megrasp_core.objects.model import ConvexPiece, ObjectModel
-from megrasp_core.objects.solids import mass_properties
+
+from .folder import save_object
+from .kinds import OBJECT_KINDS, OBSTACLE_KINDS
+from .model import ConvexPiece, ObjectModel
+from .solids import mass_properties
 
 DENSITY = (300.0, 800.0)
 MASS = (0.02, 1.0)

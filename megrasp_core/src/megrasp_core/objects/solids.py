@@ -15,7 +15,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from megrasp_core.objects.model import ConvexPiece, FaceArray, FloatArray
+from .model import ConvexPiece, FaceArray, FloatArray
 
 Profile = Sequence[tuple[float, float]]
 

@@ -1,12 +1,12 @@
 """Point clouds: files, regions, voxel means, normals, support plane, scene nodes."""
 
-from megrasp_core.pointcloud.box import OrientedBox
-from megrasp_core.pointcloud.cloud import Cloud
-from megrasp_core.pointcloud.io import read_cloud, write_cloud
-from megrasp_core.pointcloud.neighbours import estimate_normals, neighbours, remove_outliers
-from megrasp_core.pointcloud.plane import Plane, PlaneSettings, support_plane
-from megrasp_core.pointcloud.sampling import farthest_from_centroid, farthest_points
-from megrasp_core.pointcloud.scene import (
+from .box import OrientedBox
+from .cloud import Cloud
+from .io import read_cloud, write_cloud
+from .knn import estimate_normals, neighbours, remove_outliers
+from .plane import Plane, PlaneSettings, support_plane
+from .sampling import farthest_from_centroid, farthest_points
+from .scene import (
     SceneNodes,
     SceneSettings,
     SurfaceCloud,
@@ -18,7 +18,7 @@ from megrasp_core.pointcloud.scene import (
     scene_nodes,
     surface_cloud,
 )
-from megrasp_core.pointcloud.voxels import VoxelGroups, voxel_means
+from .voxels import VoxelGroups, voxel_means
 
 __all__ = [
     "Cloud",
@@ -27,8 +27,8 @@ __all__ = [
     "PlaneSettings",
     "SceneNodes",
     "SceneSettings",
-    "SurfacePoints",
     "SurfaceCloud",
+    "SurfacePoints",
     "VoxelGroups",
     "choose_nodes",
     "estimate_normals",

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from megrasp_core.errors import CloudError
-from megrasp_core.pointcloud.cloud import Cloud
+
+from .cloud import Cloud
 
 # What numpy raises for files that are cut short or are something else.
 _DAMAGE = (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error)

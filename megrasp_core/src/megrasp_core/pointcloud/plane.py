@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from megrasp_core.pointcloud.neighbours import local_normals, neighbours
+from .knn import local_normals, neighbours
 
 FloatArray = NDArray[np.float64]
 

@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from megrasp_core.errors import CloudError, EmptyRegionError, GravityError, InvalidRequestError
-from megrasp_core.pointcloud.box import OrientedBox
-from megrasp_core.pointcloud.cloud import Cloud
-from megrasp_core.pointcloud.neighbours import local_normals, neighbours, oriented, outlier_mask
-from megrasp_core.pointcloud.plane import PlaneSettings, support_plane
-from megrasp_core.pointcloud.sampling import farthest_points
-from megrasp_core.pointcloud.voxels import VoxelGroups
+
+from .box import OrientedBox
+from .cloud import Cloud
+from .knn import local_normals, neighbours, oriented, outlier_mask
+from .plane import PlaneSettings, support_plane
+from .sampling import farthest_points
+from .voxels import VoxelGroups
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

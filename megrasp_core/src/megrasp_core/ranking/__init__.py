@@ -12,8 +12,6 @@ from .probe import ClosingVolume, GripperProbe, ProbeSettings, closing_volume, g
 from .rank import RankSettings, excluded, rejection_counts, score_grasps, suppress_duplicates
 
 __all__ = [
-    "FEATURES",
-    "REASONS",
     "Calibration",
     "CheckSettings",
     "ClosingVolume",
@@ -23,11 +21,13 @@ __all__ = [
     "DepthImage",
     "DepthImageSettings",
     "DistanceField",
+    "FEATURES",
     "GraspCheck",
     "GripperProbe",
     "ObservationSettings",
     "PointState",
     "ProbeSettings",
+    "REASONS",
     "RankSettings",
     "SceneObservation",
     "check_grasps",

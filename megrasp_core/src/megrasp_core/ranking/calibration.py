@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from ..errors import InvalidRequestError
+from megrasp_core.errors import InvalidRequestError
+
 from .check import GraspCheck
 
 __all__ = ["FEATURES", "Calibration", "fit_calibration", "logistic_features"]

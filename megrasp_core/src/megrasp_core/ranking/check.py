@@ -13,7 +13,7 @@ from .observation import PointState, SceneObservation
 from .probe import GripperProbe, gripper_probe
 
 if TYPE_CHECKING:
-    from ..grippers import Gripper
+    from megrasp_core.grippers import Gripper
 
 __all__ = [
     "REASONS",

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from ..errors import CloudError, InvalidRequestError
+from megrasp_core.errors import CloudError, InvalidRequestError
 
 __all__ = ["DepthImage", "DepthImageSettings"]
 

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import InvalidRequestError
+from megrasp_core.errors import InvalidRequestError
+
 from .depth_image import DepthImage, DepthImageSettings
 from .probe import thinned
 
 if TYPE_CHECKING:
-    from ..pointcloud import OrientedBox, Plane
+    from megrasp_core.pointcloud import OrientedBox, Plane
 
 __all__ = ["ObservationSettings", "PointState", "SceneObservation"]
 

@@ -12,7 +12,7 @@ import numpy as np
 from .distance_field import DistanceField
 
 if TYPE_CHECKING:
-    from ..grippers import Gripper
+    from megrasp_core.grippers import Gripper
 
 __all__ = ["ClosingVolume", "GripperProbe", "ProbeSettings", "closing_volume", "gripper_probe"]
 

@@ -1,43 +1,32 @@
 """MuJoCo simulation: worlds, the verdict on grasps, free-space trials, clutter, depth cameras."""
 
-from megrasp_core.simulation.camera import (
-    Camera,
-    TopDownCamera,
-    depth_to_points,
-    look_at,
-    ring_cameras,
-)
-from megrasp_core.simulation.clutter import (
-    ClutterSettings,
-    SettledScene,
-    deepest_contact,
-    settle,
-)
-from megrasp_core.simulation.depth_noise import EFFECTS, DepthNoise
-from megrasp_core.simulation.free_space import FreeSpaceResult, FreeSpaceRig, FreeSpaceSettings
-from megrasp_core.simulation.light import Light
-from megrasp_core.simulation.motion import Shake
-from megrasp_core.simulation.noise_presets import NOISES, noise_named
-from megrasp_core.simulation.rendering import Snapshot, observe, render_depth, render_view
-from megrasp_core.simulation.rigs import ViewName, rig, sparse_camera
-from megrasp_core.simulation.start_collision import approach_path, start_depths
-from megrasp_core.simulation.support import Bin
-from megrasp_core.simulation.variation import Variation, varied
-from megrasp_core.simulation.verdict import Reason, TrialSettings, Verdict, judge
-from megrasp_core.simulation.view import View
-from megrasp_core.simulation.world import World, WorldState, build_world
+from .camera import Camera, TopDownCamera, depth_to_points, look_at, ring_cameras
+from .clutter import ClutterSettings, SettledScene, deepest_contact, settle
+from .depth_noise import EFFECTS, DepthNoise
+from .free_space import FreeSpaceResult, FreeSpaceRig, FreeSpaceSettings, label_timestep
+from .light import Light
+from .motion import Shake
+from .noise_presets import NOISES, noise_named
+from .rendering import Snapshot, observe, render_depth, render_view
+from .rigs import ViewName, rig, sparse_camera
+from .start_collision import approach_path, start_contacts, start_depths
+from .support import Bin
+from .variation import Variation, varied
+from .verdict import Reason, TrialSettings, Verdict, judge
+from .view import View
+from .world import World, WorldState, build_world
 
 __all__ = [
-    "EFFECTS",
-    "NOISES",
     "Bin",
     "Camera",
     "ClutterSettings",
     "DepthNoise",
+    "EFFECTS",
     "FreeSpaceResult",
     "FreeSpaceRig",
     "FreeSpaceSettings",
     "Light",
+    "NOISES",
     "Reason",
     "SettledScene",
     "Shake",
@@ -55,6 +44,7 @@ __all__ = [
     "deepest_contact",
     "depth_to_points",
     "judge",
+    "label_timestep",
     "look_at",
     "noise_named",
     "observe",
@@ -64,6 +54,7 @@ __all__ = [
     "ring_cameras",
     "settle",
     "sparse_camera",
+    "start_contacts",
     "start_depths",
     "varied",
 ]

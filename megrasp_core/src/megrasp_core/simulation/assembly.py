@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from megrasp_core.simulation.idle import lock
-from megrasp_core.simulation.support import Bin, add_guard, add_support
+from .idle import lock
+from .support import Bin, add_guard, add_support
 
 if TYPE_CHECKING:
     from megrasp_core.grippers import Gripper

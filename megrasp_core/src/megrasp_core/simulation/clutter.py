@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from megrasp_core.simulation.assembly import GUARD_CONTYPE, Guard
-from megrasp_core.simulation.support import Bin
-from megrasp_core.simulation.world import GUARD, World, build_world
+from .assembly import GUARD_CONTYPE, Guard
+from .support import Bin
+from .world import GUARD, World, build_world
 
 if TYPE_CHECKING:
     from megrasp_core.objects import ObjectModel

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from megrasp_core.errors import InvalidRequestError
-from megrasp_core.simulation.view import View
+
+from .view import View
 
 EFFECTS = ("axial", "edges", "steep", "shiny", "quantisation", "shadow", "range", "far_wall")
 

@@ -16,16 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from megrasp_core.simulation.motion import (
-    ContactWatch,
-    Motion,
-    Shake,
-    advance,
-    closing,
-    step_times,
-)
-from megrasp_core.simulation.verdict import Reason, TrialSettings
-from megrasp_core.simulation.world import World, build_world
+from .motion import ContactWatch, Motion, Shake, advance, closing, step_times
+from .verdict import Reason, TrialSettings
+from .world import World, build_world
 
 if TYPE_CHECKING:
     from megrasp_core.grippers import Gripper

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from megrasp_core.errors import SimulationError
-from megrasp_core.simulation.assembly import GRIPPER_PREFIX
-from megrasp_core.simulation.coordinates import read_pose, write_pose
-from megrasp_core.simulation.idle import IdleParts, idle_parts
+
+from .assembly import GRIPPER_PREFIX
+from .coordinates import read_pose, write_pose
+from .idle import IdleParts, idle_parts
 
 if TYPE_CHECKING:
     from megrasp_core.grippers import Gripper

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from megrasp_core.simulation.world import World
+from .world import World
 
 WATCH_PERIOD = 0.01
 """Contacts are looked at this often, s; gaps of up to 50 ms are five looks."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from megrasp_core.errors import InvalidRequestError
-from megrasp_core.simulation.depth_noise import DepthNoise
+
+from .depth_noise import DepthNoise
 
 STRUCTURED_LIGHT = DepthNoise(
     axial_base=0.0,

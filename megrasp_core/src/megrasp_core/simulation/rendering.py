@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 from megrasp_core.errors import InvalidRequestError
 from megrasp_core.pointcloud import Cloud
-from megrasp_core.simulation.camera import Camera, depth_to_points
-from megrasp_core.simulation.depth_noise import DepthNoise
-from megrasp_core.simulation.light import Light
-from megrasp_core.simulation.support import SCENERY_COLOUR
-from megrasp_core.simulation.view import View
-from megrasp_core.simulation.world import SCENERY, World
+
+from .camera import Camera, depth_to_points
+from .depth_noise import DepthNoise
+from .light import Light
+from .support import SCENERY_COLOUR
+from .view import View
+from .world import SCENERY, World
 
 TABLE_HALF = 2.0
 """Half edge of the table that rays can hit, m."""

@@ -7,7 +7,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from megrasp_core.errors import InvalidRequestError
-from megrasp_core.simulation.camera import Camera, TopDownCamera, look_at, ring_cameras
+
+from .camera import Camera, TopDownCamera, look_at, ring_cameras
 
 ViewName = Literal["dense", "sparse", "top_down"]
 """dense: ten views around, fused. sparse: one oblique view. top_down: one view from above."""

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from megrasp_core.simulation.assembly import GRIPPER_CONTYPE
-from megrasp_core.simulation.hand import Posture
-from megrasp_core.simulation.world import GRIPPER, World
+from .assembly import GRIPPER_CONTYPE
+from .hand import Posture
+from .world import GRIPPER, World
 
 
 def start_depths(

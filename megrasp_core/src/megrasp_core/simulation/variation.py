@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from megrasp_core.errors import SimulationError
-from megrasp_core.simulation.world import GRIPPER, World
+
+from .world import GRIPPER, World
 
 TORSIONAL, ROLLING = 0.01, 0.0001
 """Friction of the gripper's contacts besides the sliding one (DESIGN section 2), which all

@@ -21,7 +21,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from megrasp_core.simulation.motion import (
+from .motion import (
     WATCH_PERIOD,
     ContactWatch,
     Motion,
@@ -32,8 +32,8 @@ from megrasp_core.simulation.motion import (
     smooth,
     step_times,
 )
-from megrasp_core.simulation.start_collision import approach_path, start_depths
-from megrasp_core.simulation.world import GRIPPER, SCENERY, World
+from .start_collision import approach_path, start_depths
+from .world import GRIPPER, SCENERY, World
 
 
 class Reason(StrEnum):

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from megrasp_core.errors import SimulationError
-from megrasp_core.simulation.assembly import GRIPPER_PREFIX, Guard, assemble
-from megrasp_core.simulation.coordinates import read_pose, write_pose
-from megrasp_core.simulation.hand import Hand, Posture
-from megrasp_core.simulation.support import Bin
+
+from .assembly import GRIPPER_PREFIX, Guard, assemble
+from .coordinates import read_pose, write_pose
+from .hand import Hand, Posture
+from .support import Bin
 
 if TYPE_CHECKING:
     from megrasp_core.grippers import Gripper

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..pointcloud import Plane, SurfaceCloud
-from ..ranking import (
+from megrasp_core.pointcloud import Plane, SurfaceCloud
+from megrasp_core.ranking import (
     Contacts,
     ContactSurface,
     GraspCheck,
@@ -19,6 +19,7 @@ from ..ranking import (
     measure_contacts,
     score_grasps,
 )
+
 from .poses import PoseSet
 from .request import SynthesisRequest
 from .settings import RankingSettings

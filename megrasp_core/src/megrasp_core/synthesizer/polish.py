@@ -14,7 +14,8 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..ranking import RankSettings, suppress_duplicates
+from megrasp_core.ranking import RankSettings, suppress_duplicates
+
 from .evaluate import Assessment
 from .poses import PoseSet
 from .settings import PolishSettings

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from torch import Tensor
 
-from ..grippers import Gripper
+from megrasp_core.grippers import Gripper
+
 from .request import SynthesisRequest
 
 __all__ = ["PoseSet", "pose_set", "poses_of_tcp"]

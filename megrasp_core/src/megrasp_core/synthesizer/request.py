@@ -10,8 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from ..errors import GravityError, InvalidRequestError
-from ..pointcloud import OrientedBox
+from megrasp_core.errors import GravityError, InvalidRequestError
+from megrasp_core.pointcloud import OrientedBox
 
 __all__ = ["MAX_DRAWN", "MAX_GRASPS", "Mode", "SynthesisRequest", "as_array"]
 

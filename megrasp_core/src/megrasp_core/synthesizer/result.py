@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..lie.pose import pose7_from_matrix
+from megrasp_core.lie import pose7_from_matrix
 
 __all__ = ["RankedGrasp", "Synthesis"]
 

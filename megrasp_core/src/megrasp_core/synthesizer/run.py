@@ -12,12 +12,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..diffusion import NoiseSchedule, SamplerSettings, SamplerStep, descend, last_step, refine
-from ..errors import CancelledError
-from ..grippers import Gripper
-from ..network import GraspModel, GripperCode, SceneField
-from ..pointcloud import Cloud, SceneNodes, SceneSettings, scene_nodes, surface_cloud
-from ..ranking import GripperProbe
+from megrasp_core.diffusion import (
+    NoiseSchedule,
+    SamplerSettings,
+    SamplerStep,
+    descend,
+    last_step,
+    refine,
+)
+from megrasp_core.errors import CancelledError
+from megrasp_core.grippers import Gripper
+from megrasp_core.network import GraspModel, GripperCode, SceneField
+from megrasp_core.pointcloud import Cloud, SceneNodes, SceneSettings, scene_nodes, surface_cloud
+from megrasp_core.ranking import GripperProbe
+
 from .evaluate import Assessment, SceneJudge
 from .polish import polish
 from .poses import PoseSet, pose_set, poses_of_tcp

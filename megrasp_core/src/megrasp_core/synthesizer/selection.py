@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..ranking import GripperProbe, rejection_counts, suppress_duplicates
+from megrasp_core.ranking import GripperProbe, rejection_counts, suppress_duplicates
+
 from .evaluate import Assessment
 from .poses import PoseSet
 from .request import SynthesisRequest

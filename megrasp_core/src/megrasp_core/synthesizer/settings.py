@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from ..diffusion import SamplerSettings
-from ..errors import InvalidRequestError
-from ..pointcloud import SceneSettings
-from ..ranking import (
+from megrasp_core.diffusion import SamplerSettings
+from megrasp_core.errors import InvalidRequestError
+from megrasp_core.pointcloud import SceneSettings
+from megrasp_core.ranking import (
     CheckSettings,
     ContactSettings,
     ObservationSettings,

@@ -7,7 +7,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..network import GraspModel, GripperCode, SceneField
+from megrasp_core.network import GraspModel, GripperCode, SceneField
 
 __all__ = ["draw_starts", "has_head"]
 

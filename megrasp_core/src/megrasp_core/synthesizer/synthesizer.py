@@ -13,12 +13,13 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
-from ..diffusion import NoiseSchedule, SamplerSettings
-from ..errors import InvalidRequestError
-from ..grippers import Gripper, load_gripper
-from ..network import GraspModel, load_model
-from ..pointcloud import Cloud, OrientedBox, SceneSettings
-from ..ranking import Calibration, GripperProbe, gripper_probe
+from megrasp_core.diffusion import NoiseSchedule, SamplerSettings
+from megrasp_core.errors import InvalidRequestError
+from megrasp_core.grippers import Gripper, load_gripper
+from megrasp_core.network import GraspModel, load_model
+from megrasp_core.pointcloud import Cloud, OrientedBox, SceneSettings
+from megrasp_core.ranking import Calibration, GripperProbe, gripper_probe
+
 from .request import Mode, SynthesisRequest, as_array
 from .result import Synthesis
 from .run import Cancelled, MountedGripper, OnStep, SynthesisRun

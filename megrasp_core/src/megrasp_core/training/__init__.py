@@ -4,6 +4,7 @@ from .batching import LabelledPoses, SceneBatch, SceneSource, balance, scene_bat
 from .config import GRIPPERS, Counters, TrainConfig, rate_factor
 from .loop import TrainingJob, TrainingRun, resume_training, train
 from .losses import scene_losses
+from .rack import GripperRack
 from .scenes import (
     PoseTable,
     TrainingEntry,
@@ -16,8 +17,9 @@ from .scenes import (
 from .validation import ValidationResult, validate, validation_pairs
 
 __all__ = [
-    "GRIPPERS",
     "Counters",
+    "GRIPPERS",
+    "GripperRack",
     "LabelledPoses",
     "PoseTable",
     "SceneBatch",

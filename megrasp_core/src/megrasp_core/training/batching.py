@@ -10,9 +10,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ..grippers.family import is_procedural
-from ..network import SceneGraph
-from ..pointcloud import SceneNodes, SceneSettings
+from megrasp_core.grippers import is_procedural
+from megrasp_core.network import SceneGraph
+from megrasp_core.pointcloud import SceneNodes, SceneSettings
+
 from .config import TrainConfig
 from .scenes import PoseTable, TrainingEntry
 

@@ -18,8 +18,9 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import Tensor
 
-from ..errors import DataError
-from ..network import GraspModel
+from megrasp_core.errors import DataError
+from megrasp_core.network import GraspModel
+
 from .config import Counters, TrainConfig
 
 TENSORS = "checkpoint.safetensors"

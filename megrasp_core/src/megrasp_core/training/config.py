@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, Literal
 
-from ..diffusion import SamplerSettings
-from ..errors import DataError, InvalidRequestError
-from ..network import PRESETS, ModelConfig
+from megrasp_core.diffusion import SamplerSettings
+from megrasp_core.errors import DataError, InvalidRequestError
+from megrasp_core.network import PRESETS, ModelConfig
 
 GRIPPERS = (
     "robotiq_2f85",

@@ -16,16 +16,17 @@ import numpy as np
 import psutil
 import torch
 
-from ..datasets.stopping import StopSignals, deaf_to_ctrl_c
-from ..diffusion import NoiseSchedule
-from ..errors import DataError, InvalidRequestError, TrainingError
-from ..grippers.family import is_procedural
-from ..network import GraspModel, low_precision_pays, move_to, save_model
-from ..pointcloud import SceneSettings
+from megrasp_core.diffusion import NoiseSchedule
+from megrasp_core.drawing.training_curves import append_losses, plot_curves
+from megrasp_core.errors import DataError, InvalidRequestError, TrainingError
+from megrasp_core.grippers import is_procedural
+from megrasp_core.jobs import StopSignals, deaf_to_ctrl_c
+from megrasp_core.network import GraspModel, low_precision_pays, move_to, save_model
+from megrasp_core.pointcloud import SceneSettings
+
 from .batching import SceneSource
 from .checkpoint import CheckpointState, load_checkpoint, read_state, save_checkpoint
 from .config import Counters, TrainConfig, rate_factor
-from .curves import append_losses, plot_curves
 from .losses import scene_losses
 from .processes import Team, free_port, tuned_process
 from .rack import GripperRack

@@ -10,9 +10,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ..diffusion import NoiseSchedule, perturb, score_target, target
-from ..lie import so3
-from ..network import GraspModel, GripperCode, SceneField
+from megrasp_core.diffusion import NoiseSchedule, perturb, score_target, target
+from megrasp_core.lie import so3
+from megrasp_core.network import GraspModel, GripperCode, SceneField
+
 from .batching import LabelledPoses, SceneBatch
 from .config import TrainConfig
 

@@ -6,8 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..grippers import Gripper, GripperTokens, load_gripper
-from ..grippers.family import is_procedural
+from megrasp_core.grippers import Gripper, GripperTokens, is_procedural, load_gripper
 
 TOKEN_SEEDS, PROCEDURAL_SEEDS = 8, 2
 """Samplings of a gripper's surface that training draws from; there are many procedural ones."""

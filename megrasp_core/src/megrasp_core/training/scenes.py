@@ -14,11 +14,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ..datasets import GripperLabels, TrainingScene, open_scenes
-from ..errors import DataError
-from ..lie.pose import matrix_from_pose7
-from ..network import ModelConfig, SceneGraph, build_graph, graph_sizes
-from ..pointcloud import SceneNodes, SceneSettings, SurfaceCloud, nodes_at
+from megrasp_core.errors import DataError
+from megrasp_core.lie import matrix_from_pose7
+from megrasp_core.network import ModelConfig, SceneGraph, build_graph, graph_sizes
+from megrasp_core.pointcloud import SceneNodes, SceneSettings, SurfaceCloud, nodes_at
+from megrasp_core.storage import GripperLabels, TrainingScene, open_scenes
 
 
 @dataclasses.dataclass(frozen=True)

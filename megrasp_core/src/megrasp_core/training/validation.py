@@ -11,11 +11,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import torch
 
-from ..diffusion import NoiseSchedule
-from ..grippers import GripperTokens
-from ..grippers.family import is_procedural
-from ..network import GraspModel
-from ..pointcloud import SceneSettings
+from megrasp_core.diffusion import NoiseSchedule
+from megrasp_core.grippers import GripperTokens, is_procedural
+from megrasp_core.network import GraspModel
+from megrasp_core.pointcloud import SceneSettings
+
 from .batching import scene_batch
 from .config import TrainConfig
 from .losses import LOW_LEVEL, scene_losses

@@ -11,18 +11,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from megrasp_core.grippers.family.motion import Kinematics
-from megrasp_core.grippers.family.parameters import FamilyParameters
-from megrasp_core.grippers.family.ranges import LINKAGE, SLIDE
-from megrasp_core.grippers.family.shapes import (
-    Part,
-    box,
-    capsule,
-    cylinder,
-    ellipsoid,
-    hull,
-    prism,
-)
+from .motion import Kinematics
+from .parameters import FamilyParameters
+from .ranges import LINKAGE, SLIDE
+from .shapes import Part, box, capsule, cylinder, ellipsoid, hull, prism
 
 ARC_POINTS = 7
 CHAMFER = 0.15

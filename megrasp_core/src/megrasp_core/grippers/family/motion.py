@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-from megrasp_core.grippers.family.ranges import LINKAGE, SLIDE
+from .ranges import LINKAGE, SLIDE
 
 if TYPE_CHECKING:
-    from megrasp_core.grippers.family.parameters import FamilyParameters
+    from .parameters import FamilyParameters
 
 # The clear width counts over this height about the TCP.
 PATCH = 0.008

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from megrasp_core.grippers.family.finger import half_width, pivot_blocks, reach
-from megrasp_core.grippers.family.motion import Kinematics
-from megrasp_core.grippers.family.parameters import FamilyParameters
-from megrasp_core.grippers.family.ranges import CENTRIC, CROSS, SLIDE
-from megrasp_core.grippers.family.shapes import Part, box, cylinder, prism, turned
+from .finger import half_width, pivot_blocks, reach
+from .motion import Kinematics
+from .parameters import FamilyParameters
+from .ranges import CENTRIC, CROSS, SLIDE
+from .shapes import Part, box, cylinder, prism, turned
 
 CORNER_POINTS = 5
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from megrasp_core.errors import InvalidRequestError
-from megrasp_core.grippers.family.motion import kinematics
-from megrasp_core.grippers.family.ranges import (
+
+from .motion import kinematics
+from .ranges import (
     CENTRIC,
     CROSS,
     FAMILY_KINDS,

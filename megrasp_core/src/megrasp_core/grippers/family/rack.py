@@ -9,11 +9,12 @@ import re
 import tempfile
 from pathlib import Path
 
-from megrasp_core.grippers.family.parameters import draw_parameters
-from megrasp_core.grippers.family.ranges import FAMILY_KINDS
-from megrasp_core.grippers.family.sample import name_of, sample_gripper
-from megrasp_core.grippers.family.writing import write_gripper
 from megrasp_core.grippers.gripper import Gripper
+
+from .parameters import draw_parameters
+from .ranges import FAMILY_KINDS
+from .sample import name_of, sample_gripper
+from .writing import write_gripper
 
 _NAME = re.compile(rf"({'|'.join(FAMILY_KINDS)})_(\d{{6}})")
 

@@ -8,23 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from megrasp_core.grippers.family.finger import Link, finger_links
-from megrasp_core.grippers.family.motion import Kinematics, kinematics
-from megrasp_core.grippers.family.palm import palm_parts
-from megrasp_core.grippers.family.parameters import (
-    FamilyParameters,
-    Placement,
-    draw_parameters,
-)
-from megrasp_core.grippers.family.ranges import CENTRIC, CROSS, SLIDE, TWO_ONE
-from megrasp_core.grippers.family.shapes import (
-    Part,
-    about_z,
-    add_geoms,
-    add_meshes,
-    numbers,
-    turned,
-)
+from .finger import Link, finger_links
+from .motion import Kinematics, kinematics
+from .palm import palm_parts
+from .parameters import FamilyParameters, Placement, draw_parameters
+from .ranges import CENTRIC, CROSS, SLIDE, TWO_ONE
+from .shapes import Part, about_z, add_geoms, add_meshes, numbers, turned
 
 MODEL_FILE = "model.xml"
 COLOUR = "0.35 0.37 0.40 1"

@@ -1,0 +1,6 @@
+"""Speed and rates.
+
+- `synthesis`, `training`, `data`, `rendering`: what `megrasp bench` measures.
+- `trial_profile`, `rate_tables`, `data_plan`: where the time of a trial goes, tables, core-hours
+  of a large data set.
+"""

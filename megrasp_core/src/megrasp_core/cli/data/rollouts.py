@@ -1,0 +1,67 @@
+"""`megrasp data rollouts`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from megrasp_core.cli.common import progress_bar, say
+from megrasp_core.errors import InvalidRequestError
+
+__all__ = ["rollouts"]
+
+
+def rollouts(
+    out: Path,
+    model: str | None = None,
+    gripper: str = "robotiq_2f85",
+    bins: int = 40,
+    drawn: int = 100,
+    judged: int = 10,
+    procedural: int = 60,
+    threads: int | None = None,
+    seed: int = 7000,
+) -> int:
+    """Bins that the model clears itself; its own grasps at every stage, labelled in simulation.
+
+    Filled with the training objects (scans where MEGRASP_ASSETS is set, and procedural ones).
+    Resumable: run it again to go on.
+
+    Try:
+      megrasp data rollouts --model runs/small/model --out data/rollouts
+      megrasp train --data data/rollouts --heads-of runs/small/model --out runs/heads
+
+    Args:
+        out: data set folder; every stage of a bin becomes a scene.
+        model: id or folder.
+        gripper: name, or folder of a gripper.yaml.
+        bins: how many.
+        drawn: poses drawn per synthesis.
+        judged: best ranked grasps tried at every stage.
+        procedural: procedural objects among those that bins are filled from.
+        threads: torch threads.
+        seed: of the first bin; the others follow.
+    """
+    if bins < 1:
+        raise InvalidRequestError(f"--bins {bins} was given; expected at least 1.")
+    from megrasp_core.objects import training_objects
+    from megrasp_core.self_labelling.rollouts import RolloutSettings, label_rollouts
+    from megrasp_core.synthesizer import GraspSynthesizer
+
+    with progress_bar(bins, "bins") as bar:
+
+        def tell(number: int, won: int, tried: int) -> None:
+            bar.update(number - seed + 1 - bar.n)
+            bar.set_postfix(successes=f"{won}/{tried}")
+            if bar.disable and (number - seed) % 5 == 4:
+                say(f"{number - seed + 1}/{bins} bins, {won} successes of {tried} labels")
+
+        written = label_rollouts(
+            out,
+            GraspSynthesizer.load(model, gripper, threads=threads),
+            training_objects(procedural),
+            range(seed, seed + bins),
+            RolloutSettings(judged=judged, drawn=drawn),
+            on_bin=tell,
+        )
+    say(f"wrote {written} stages to {out}")
+    return 0

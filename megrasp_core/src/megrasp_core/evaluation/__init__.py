@@ -1,0 +1,10 @@
+"""Success rates in simulation.
+
+- `protocols`: binpick, declutter and single, scene by scene; `report`: many scenes, result file.
+- `planners`: what is evaluated, the model or the analytic baseline; `ceiling`: a planner that
+  knows the true geometry, the most that a protocol allows.
+- `statistics`: rates with intervals.
+- `object_pool`: which objects are drawn, and which a gripper can hold at all.
+- `calibration`: scores that are probabilities.
+- `sample_rates`: raw samples of several models compared; `collision_causes`: why they collide.
+"""

@@ -1,0 +1,193 @@
+"""What an evaluation asks for grasps: the model, or the analytic antipodal baseline behind the
+same check.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from megrasp_core.diffusion import SamplerSettings
+from megrasp_core.grippers import Gripper
+from megrasp_core.pointcloud import Cloud, SurfaceCloud, neighbours, scene_nodes, surface_cloud
+from megrasp_core.ranking import GripperProbe, gripper_probe
+from megrasp_core.synthesizer import (
+    GraspSynthesizer,
+    SceneJudge,
+    Synthesis,
+    SynthesisRequest,
+    SynthesizerSettings,
+    collect,
+    poses_of_tcp,
+)
+
+
+class Planner(Protocol):
+    """Anything that turns a cloud into a `Synthesis`."""
+
+    name: str
+
+    def plan(self, cloud: Cloud, **options: Any) -> Synthesis:
+        """Grasps for a cloud; options as of `GraspSynthesizer.synthesize`."""
+        ...
+
+
+class ModelPlanner:
+    """The trained model."""
+
+    def __init__(self, synthesizer: GraspSynthesizer) -> None:
+        self.synthesizer = synthesizer
+        self.name = synthesizer.model.model_id
+
+    @property
+    def sampler(self) -> SamplerSettings:
+        """The sampler that a pose goes through."""
+        return self.synthesizer.sampler
+
+    def plan(self, cloud: Cloud, **options: Any) -> Synthesis:
+        """See `GraspSynthesizer.synthesize`."""
+        return self.synthesizer.synthesize(cloud, **options)
+
+
+@dataclass(frozen=True)
+class AntipodalSettings:
+    """How candidates are drawn from the seen surface.
+
+    cone: largest angle (rad) between a contact's normal and the closing axis. approach_tilt:
+    standard deviation
+    (rad) of the approach about straight down. depth: the TCP lies up to this far (m) below the
+    contacts' height
+    where the floor allows it. edge_share: share of candidates from single points and their
+    nearest edge direction,
+    for objects of which only the top is seen.
+    """
+
+    cone: float = float(np.deg2rad(30.0))
+    approach_tilt: float = 0.25
+    depth: float = 0.02
+    edge_share: float = 0.5
+    pairs: int = 4000
+
+
+class AntipodalPlanner:
+    """Analytic antipodal candidates, with the check and the ranking of the model's samples.
+
+    Half of the candidates are pairs of seen points whose normals oppose along the closing axis
+    and whose distance
+    fits the opening. A top-down camera sees few such pairs, so the other half take a seen point
+    off the support
+    plane, approach it against gravity and close along the direction in which the seen patch is
+    narrowest.
+    """
+
+    name = "antipodal-baseline"
+
+    def __init__(
+        self,
+        gripper: Gripper,
+        settings: AntipodalSettings | None = None,
+        synthesizer: SynthesizerSettings | None = None,
+    ) -> None:
+        self.gripper = gripper
+        self.settings = settings or AntipodalSettings()
+        self._options = synthesizer or SynthesizerSettings()
+        self._probe: GripperProbe = gripper_probe(gripper, self._options.probe)
+
+    def plan(self, cloud: Cloud, **options: Any) -> Synthesis:
+        """Candidates through the same check; `drawn` of them."""
+        began = time.perf_counter()
+        request = SynthesisRequest(**{"gravity": (0.0, 0.0, -1.0), **options})
+        surface = surface_cloud(
+            cloud, sensor=request.sensor, gravity=request.gravity, region=request.region
+        )
+        judge = SceneJudge(surface, request, self._options.ranking)
+        rng = np.random.default_rng(request.seed)
+        tcp = self.candidates(surface, request.drawn, rng)
+        poses = poses_of_tcp(tcp, self.gripper, request)
+        assessment = judge.assess(poses, self._probe, None)
+        grasps, rejected = collect(
+            (poses, assessment), None, self._probe, request, self._options.ranking
+        )
+        return Synthesis(
+            grasps=grasps,
+            rejected=rejected,
+            timing={"total": time.perf_counter() - began},
+            seed=int(request.seed or 0),
+            drawn=request.drawn,
+            evaluations=0,
+            gripper=self.gripper.name,
+            model=self.name,
+        )
+
+    def candidates(
+        self, surface: SurfaceCloud, count: int, rng: np.random.Generator
+    ) -> np.ndarray:
+        """Draw `(count, 4, 4)` TCP poses in the frame of the cloud."""
+        down = np.array([0.0, 0.0, -1.0]) if surface.gravity is None else surface.gravity
+        nodes = scene_nodes(surface)
+        points = nodes.points.astype(np.float64) + nodes.centroid
+        normals = nodes.normals.astype(np.float64)
+        off = ~nodes.on_plane
+        if off.sum() >= 10:
+            points, normals = points[off], normals[off]
+        wanted = round(count * (1 - self.settings.edge_share))
+        pairs = self._pairs(points, normals, down, wanted, rng)
+        edges = self._edges(points, down, count - len(pairs), rng)
+        return np.concatenate([pairs, edges])
+
+    def _pairs(
+        self,
+        points: np.ndarray,
+        normals: np.ndarray,
+        down: np.ndarray,
+        count: int,
+        rng: np.random.Generator,
+    ) -> np.ndarray:
+        width = self.gripper.description.max_width or 0.10
+        first = rng.integers(len(points), size=self.settings.pairs)
+        second = rng.integers(len(points), size=self.settings.pairs)
+        axis = points[second] - points[first]
+        length = np.linalg.norm(axis, axis=1)
+        axis = axis / np.maximum(length, 1e-9)[:, None]
+        limit = np.cos(self.settings.cone)
+        opposed = (
+            (length > 0.005)
+            & (length < width - 0.003)
+            & (-(normals[first] * axis).sum(1) > limit)
+            & ((normals[second] * axis).sum(1) > limit)
+        )
+        chosen = np.flatnonzero(opposed)[:count]
+        centre = (points[first] + points[second])[chosen] / 2
+        return self._frames(centre, axis[chosen], down, rng)
+
+    def _edges(
+        self, points: np.ndarray, down: np.ndarray, count: int, rng: np.random.Generator
+    ) -> np.ndarray:
+        index = rng.integers(len(points), size=count)
+        reach = (self.gripper.description.max_width or 0.10) / 2
+        distance, near = neighbours(points[index], points, min(64, len(points)))
+        patch = points[near] - points[index][:, None]
+        weight = (distance < reach)[..., None]
+        flat = (patch - (patch @ down)[..., None] * down) * weight
+        _, _, axes = np.linalg.svd(flat, full_matrices=False)
+        sideways = axes[:, 1] - (axes[:, 1] @ down)[:, None] * down
+        middle = (patch * weight).sum(1) / weight.sum(1)
+        return self._frames(points[index] + middle, sideways, down, rng)
+
+    def _frames(
+        self, centre: np.ndarray, axis: np.ndarray, down: np.ndarray, rng: np.random.Generator
+    ) -> np.ndarray:
+        x = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-9)
+        tilt = rng.normal(scale=self.settings.approach_tilt, size=(len(x), 3))
+        z = down + tilt
+        z = z - (z * x).sum(1, keepdims=True) * x
+        z /= np.maximum(np.linalg.norm(z, axis=1, keepdims=True), 1e-9)
+        poses = np.tile(np.eye(4), (len(x), 1, 1))
+        poses[:, :3, 0], poses[:, :3, 2] = x, z
+        poses[:, :3, 1] = np.cross(z, x)
+        sink = rng.uniform(0, self.settings.depth, (len(x), 1))
+        poses[:, :3, 3] = centre + sink * z
+        return poses

@@ -1,0 +1,16 @@
+"""The wizard: a description for a gripper from its URDF or MJCF, by moving the joints."""
+
+from .analyse import Analysis, Overrides
+from .findings import Finding
+from .prepare import SourceOptions
+from .wizard import NewGripper, Request, new_gripper
+
+__all__ = [
+    "Analysis",
+    "Finding",
+    "NewGripper",
+    "Overrides",
+    "Request",
+    "SourceOptions",
+    "new_gripper",
+]

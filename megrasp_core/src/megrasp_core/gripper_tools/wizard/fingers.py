@@ -1,0 +1,215 @@
+"""Fingers: which branches are fingers, what drives them, where they end, how they curl."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from .mechanism import Branch, Mechanism, palm_centre
+from .motion import Motion
+
+MOVED = 0.02
+"""A joint follows a drive when it moves by more than this share of the drive's own change."""
+
+PARALLEL = 0.95
+TIP_SHARE = 0.15
+LEVER_REACH = 0.9
+"""A branch on another's drives and beside it that reaches less than this share is its lever."""
+
+LEVER_APART = 0.08
+"""A lever stays this close to its finger, in shares of the finger's reach."""
+
+
+@dataclass(frozen=True)
+class Finger:
+    """One finger.
+
+    `bodies`: its links with the levers beside it. `links`: its own branch. `curl`: drives that
+    bend (or slide) it, from the palm outwards. `spread`: drives that turn its plane. `flexing`:
+    +1 or -1 for each curl drive: the sign of its length that bends the finger the way its joints
+    bend farther. `tip_body`, `tip_point` (3,): middle of its pad, in the frame of its last link.
+    `moving`: joints of its chain that a drive moves; `sense`: sign in which the last one flexes.
+    """
+
+    name: str
+    links: tuple[int, ...]
+    bodies: tuple[int, ...]
+    tip: tuple[int, ...]
+    chain: tuple[int, ...]
+    curl: tuple[int, ...]
+    spread: tuple[int, ...]
+    flexing: tuple[float, ...]
+    tip_body: int
+    tip_point: NDArray[np.float64]
+    sliding: bool
+    moving: tuple[int, ...]
+    sense: float
+
+    def tip_at(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the middle (3,) of the fingertip, model frame."""
+        pose = poses[self.tip_body]
+        return pose[:3, :3] @ self.tip_point + pose[:3, 3]
+
+
+def joint_gains(motion: Motion) -> NDArray[np.float64]:
+    """Return how far each joint moves per unit of each drive (drives, njnt), about the middle."""
+    adr = motion.model.jnt_qposadr
+    base = motion.rest()
+    out = np.zeros((len(motion.drives), motion.model.njnt))
+    for index in range(len(motion.drives)):
+        ends = []
+        for length in (motion.low[index], motion.high[index]):
+            lengths = base.copy()
+            lengths[index] = length
+            ends.append(motion.qpos(lengths)[adr])
+        span = motion.high[index] - motion.low[index]
+        out[index] = (ends[1] - ends[0]) / max(float(span), 1e-9)
+    return out
+
+
+def find_fingers(mechanism: Mechanism, motion: Motion) -> tuple[Finger, ...]:
+    """Return the fingers, longest first.
+
+    Branches that move beside a longer one on the same drives are levers of its linkage and go to
+    the finger that they are nearest to.
+    """
+    gains = joint_gains(motion)
+    driven = [b for b in mechanism.branches if _drives_of(b, gains)]
+    ends = [motion.poses(lengths) for lengths in (motion.rest(), motion.low, motion.high)]
+    fingers = [b for b in driven if not _is_lever(mechanism, b, driven, gains, ends)]
+    poses = ends[0]
+    extra: dict[int, list[int]] = {branch.root: [] for branch in fingers}
+    for branch in mechanism.branches:
+        if branch in fingers:
+            continue
+        near = _nearest(mechanism, poses, branch, fingers)
+        extra[near.root] += list(branch.bodies)
+    return tuple(
+        _finger(mechanism, motion, gains, branch, extra[branch.root], poses) for branch in fingers
+    )
+
+
+def joint_axes(
+    motion: Motion, lengths: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return joint anchors and unit axes (njnt, 3) in the model frame."""
+    data = mujoco.MjData(motion.model)
+    data.qpos[:] = motion.qpos(lengths)
+    mujoco.mj_kinematics(motion.model, data)
+    return data.xanchor.copy(), data.xaxis.copy()
+
+
+def _drives_of(branch: Branch, gains: NDArray[np.float64]) -> set[int]:
+    return set(np.flatnonzero(np.abs(gains[:, list(branch.chain)]).max(axis=1) > MOVED).tolist())
+
+
+def _is_lever(
+    mechanism: Mechanism,
+    branch: Branch,
+    others: Sequence[Branch],
+    gains: NDArray[np.float64],
+    ends: Sequence[NDArray[np.float64]],
+) -> bool:
+    """Whether a branch moves beside a longer one on the same drives, wherever these stand."""
+    own = _drives_of(branch, gains)
+    return any(
+        branch.reach < LEVER_REACH * other.reach
+        and own <= _drives_of(other, gains)
+        and max(_apart(mechanism, poses, branch, other) for poses in ends)
+        < LEVER_APART * other.reach
+        for other in others
+        if other is not branch
+    )
+
+
+def _apart(
+    mechanism: Mechanism, poses: NDArray[np.float64], branch: Branch, other: Branch
+) -> float:
+    """Return the distance (m) between two branches."""
+    tree = KDTree(mechanism.surface(poses, other.bodies))
+    return float(np.min(tree.query(mechanism.surface(poses, branch.bodies))[0]))
+
+
+def _nearest(
+    mechanism: Mechanism,
+    poses: NDArray[np.float64],
+    branch: Branch,
+    fingers: Sequence[Branch],
+) -> Branch:
+    middle = mechanism.surface(poses, branch.bodies).mean(axis=0)
+    distance = [
+        np.linalg.norm(mechanism.surface(poses, finger.bodies) - middle, axis=1).min()
+        for finger in fingers
+    ]
+    return fingers[int(np.argmin(distance))]
+
+
+def _finger(
+    mechanism: Mechanism,
+    motion: Motion,
+    gains: NDArray[np.float64],
+    branch: Branch,
+    extra: list[int],
+    poses: NDArray[np.float64],
+) -> Finger:
+    model = mechanism.model
+    anchors, axes = joint_axes(motion, motion.rest())
+    strength = np.abs(gains[:, list(branch.chain)])
+    moving = [j for j, s in zip(branch.chain, strength.max(axis=0), strict=True) if s > MOVED]
+    last = moving[-1]
+    alike = [
+        j
+        for j in moving
+        if model.jnt_type[j] == model.jnt_type[last] and abs(axes[j] @ axes[last]) > PARALLEL
+    ]
+    drives = _drives_of(branch, gains)
+    curl = [d for d in drives if np.abs(gains[d, alike]).max() > MOVED]
+    curl.sort(key=lambda d: min(j for j in alike if abs(gains[d, j]) > MOVED))
+    # All parallel joints flex in one sense of rotation: the one in which they have more room.
+    room = sum(float(axes[j] @ axes[last]) * float(motion.ranges[j].sum()) for j in alike)
+    sense = 1.0 if room >= 0.0 else -1.0
+    flexing = tuple(
+        float(np.sign(sense * sum(gains[d, j] * (axes[j] @ axes[last]) for j in alike)) or 1.0)
+        for d in curl
+    )
+    tip_body, tip = _tip(mechanism, poses, branch, anchors[last], last)
+    return Finger(
+        name=model.body(branch.root).name,
+        links=branch.bodies,
+        bodies=tuple(sorted({*branch.bodies, *extra})),
+        tip=branch.tip,
+        chain=branch.chain,
+        curl=tuple(curl),
+        spread=tuple(sorted(drives - set(curl))),
+        flexing=flexing,
+        tip_body=tip_body,
+        tip_point=tip,
+        sliding=bool(model.jnt_type[last] == mujoco.mjtJoint.mjJNT_SLIDE),
+        moving=tuple(moving),
+        sense=sense,
+    )
+
+
+def _tip(
+    mechanism: Mechanism,
+    poses: NDArray[np.float64],
+    branch: Branch,
+    anchor: NDArray[np.float64],
+    last: int,
+) -> tuple[int, NDArray[np.float64]]:
+    """Return the tip's body and the middle (3,) of the last link's end in that body's frame."""
+    slide = mechanism.model.jnt_type[last] == mujoco.mjtJoint.mjJNT_SLIDE
+    start = palm_centre(mechanism, poses) if slide else anchor
+    points = mechanism.surface(poses, branch.tip)
+    far = np.linalg.norm(points - start, axis=1)
+    end = points[far >= np.quantile(far, 1.0 - TIP_SHARE)].mean(axis=0)
+    if not slide:
+        # Objects are held by the middle of the last link, not by the nail.
+        end = (end + anchor) / 2.0
+    pose = poses[branch.tip[0]]
+    return branch.tip[0], pose[:3, :3].T @ (end - pose[:3, 3])

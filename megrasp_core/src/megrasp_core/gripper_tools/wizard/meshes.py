@@ -1,0 +1,180 @@
+"""Mesh files of a model: found, converted to what MuJoCo reads, copied beside the description."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import open3d as o3d
+import trimesh
+
+from megrasp_core.errors import DescriptionError
+
+from .collada import read_collada
+
+FOLDER = "meshes"
+MOST_FACES = 190_000
+"""MuJoCo reads STL files of at most 200 000 triangles."""
+
+PARENTS = 5
+PACKAGE = "package://"
+VARIABLES = ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH", "COLCON_PREFIX_PATH")
+
+
+@dataclass
+class MeshFinder:
+    """Finds the files that a model names.
+
+    Args:
+        folder: the model's folder.
+        packages: ROS package name -> its folder, as the user gave them.
+        roots: folders that relative names count from, the model's own first.
+    """
+
+    folder: Path
+    packages: Mapping[str, Path]
+    roots: tuple[Path, ...] = ()
+    guessed: dict[str, Path] = field(default_factory=dict)
+
+    def find(self, name: str) -> Path | None:
+        """Return the file, or None. Files found elsewhere than stated are noted in `guessed`."""
+        plain = name.removeprefix("file://").replace("model://", PACKAGE)
+        if plain.startswith(PACKAGE):
+            package, _, rest = plain.removeprefix(PACKAGE).partition("/")
+            for place in self._package_folders(package):
+                if (place / rest).is_file():
+                    return place / rest
+            return self._beside(name, Path(rest))
+        path = Path(plain)
+        for root in (self.folder, *self.roots):
+            if (root / path).is_file():
+                return root / path
+        return self._beside(name, path)
+
+    def _package_folders(self, package: str) -> list[Path]:
+        if package in self.packages:
+            return [self.packages[package]]
+        out = []
+        for parent in list(self.folder.resolve().parents)[:PARENTS]:
+            out += [parent / package]
+        for parent in [self.folder.resolve(), *self.folder.resolve().parents][:PARENTS]:
+            if _package_name(parent) == package:
+                out.append(parent)
+        for variable in VARIABLES:
+            for prefix in filter(None, os.environ.get(variable, "").split(":")):
+                out += [Path(prefix) / "share" / package, Path(prefix) / package]
+        return out
+
+    def _beside(self, name: str, path: Path) -> Path | None:
+        """Look for the end of a path from the model's folder upwards, longest end first."""
+        parts = path.parts[1:] if path.is_absolute() else path.parts
+        for parent in [self.folder.resolve(), *self.folder.resolve().parents][:PARENTS]:
+            for start in range(len(parts)):
+                candidate = parent.joinpath(*parts[start:])
+                if candidate.is_file():
+                    self.guessed[name] = candidate
+                    return candidate
+        return None
+
+
+def _package_name(folder: Path) -> str | None:
+    file = folder / "package.xml"
+    if not file.is_file():
+        return None
+    try:
+        return (ElementTree.parse(file).getroot().findtext("name") or "").strip()
+    except ElementTree.ParseError:
+        return None
+
+
+def missing_message(model: Path, missing: Mapping[str, str]) -> str:
+    """Return what to say about meshes that are not there: name -> the link that uses it."""
+    listed = "; ".join(f"{name} (link '{link}')" for name, link in list(missing.items())[:5])
+    more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
+    text = f"{model}: {len(missing)} mesh files cannot be found: {listed}{more}. "
+    packages = sorted(
+        {
+            name.removeprefix(PACKAGE).partition("/")[0]
+            for name in missing
+            if name.startswith(PACKAGE)
+        }
+    )
+    if packages:
+        given = " ".join(f"{package}=/folder/of/{package}" for package in packages)
+        return f"{text}Say where the ROS packages lie: --package {given}"
+    return f"{text}Put them where the model names them, relative to {model.parent}"
+
+
+class MeshStore:
+    """Copies meshes into `folder`/meshes under names that do not clash."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder / FOLDER
+        self.converted: list[str] = []
+        self._names: dict[Path, str] = {}
+
+    def add(self, file: Path) -> str:
+        """Copy or convert one file; return its name below the store's folder."""
+        file = file.resolve()
+        if file in self._names:
+            return self._names[file]
+        self.folder.mkdir(parents=True, exist_ok=True)
+        mesh = _needs_conversion(file)
+        suffix = file.suffix.lower() if mesh is None else ".stl"
+        taken = set(self._names.values())
+        stem = "".join(c if c.isalnum() or c in "-_." else "_" for c in file.stem)
+        name, count = f"{stem}{suffix}", 1
+        while name in taken:
+            count += 1
+            name = f"{stem}_{count}{suffix}"
+        self._names[file] = name
+        if mesh is None:
+            shutil.copyfile(file, self.folder / name)
+            (self.folder / name).chmod(0o644)
+        else:
+            mesh.export(self.folder / name)
+            self.converted.append(file.name)
+        return name
+
+
+def _needs_conversion(file: Path) -> trimesh.Trimesh | None:
+    """Return the mesh of a file that MuJoCo cannot read as it is, None of one that it can."""
+    suffix = file.suffix.lower()
+    if suffix == ".msh" or (suffix == ".obj" and file.stat().st_size < 20_000_000):
+        return None
+    if suffix == ".stl" and _binary_stl_faces(file) in range(1, MOST_FACES):
+        return None
+    try:
+        mesh = read_collada(file) if suffix == ".dae" else trimesh.load(file, force="mesh")
+    except Exception as error:
+        raise DescriptionError(
+            f"cannot read the mesh {file}: {error}; expected STL, OBJ, DAE, PLY, GLB or OFF. "
+            "Convert it to STL"
+        ) from error
+    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+        raise DescriptionError(f"the mesh {file} holds no triangles; export it again as STL")
+    return _thinned(mesh)
+
+
+def _binary_stl_faces(file: Path) -> int:
+    """Return the number of triangles of a binary STL file, 0 for a text one."""
+    with file.open("rb") as stream:
+        head = stream.read(84)
+    count = int.from_bytes(head[80:84], "little") if len(head) == 84 else 0
+    return count if file.stat().st_size == 84 + 50 * count else 0
+
+
+def _thinned(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    if len(mesh.faces) <= MOST_FACES:
+        return mesh
+    full = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.faces)
+    )
+    full.merge_close_vertices(1e-7)
+    less = full.simplify_quadric_decimation(MOST_FACES)
+    return trimesh.Trimesh(np.asarray(less.vertices), np.asarray(less.triangles), process=False)

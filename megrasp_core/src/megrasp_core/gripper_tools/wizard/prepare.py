@@ -1,0 +1,200 @@
+"""From a stranger's file to a clean model beside the description to be: `model.xml` and meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+
+from megrasp_core.errors import DescriptionError
+from megrasp_core.grippers import (
+    GripperDescription,
+    Pose,
+    PostureDescription,
+    build_spec,
+    check_spec,
+    compile_spec,
+    quiet_mujoco,
+)
+
+from .cleaning import clean, cut_out, steady_urdf
+from .drives import find_drives
+from .findings import Notes
+from .mechanism import Mechanism, find_mechanism, rigid_parts
+from .meshes import FOLDER
+from .motion import Motion
+from .source import read_source
+from .units import check_units, scale_meshes, scale_model
+
+MODEL_FILE = "model.xml"
+ARM_JOINTS = 3
+"""So many joints above the palm are an arm and no wrist."""
+
+LARGEST_REACH = 0.5
+"""A longer 'finger' (m) is a limb of a whole robot."""
+
+MOST_NAMES = 40
+
+
+@dataclass(frozen=True)
+class SourceOptions:
+    """What the user says about the file: ROS package folders, scale to metres, link to cut at."""
+
+    packages: Mapping[str, Path] = field(default_factory=dict)
+    scale: float | None = None
+    root: str | None = None
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A clean model: `folder` holds model.xml and meshes/; `model` is it compiled as the loader
+    compiles it; `mechanism` and `motion` belong to it.
+    """
+
+    folder: Path
+    model: mujoco.MjModel
+    mechanism: Mechanism
+    motion: Motion
+
+
+def prepare(
+    path: Path,
+    folder: Path,
+    options: SourceOptions,
+    notes: Notes,
+    accept_scale: Callable[[float], bool],
+) -> Prepared:
+    """Read, clean, scale and cut a model, and write it to `folder`.
+
+    Args:
+        path: URDF or MJCF.
+        folder: an empty folder.
+        options: what the user said.
+        notes: what was done is written here.
+        accept_scale: whether to scale the whole model by a factor found from its size.
+
+    Raises:
+        DescriptionError: what is wrong with the file, and what to do.
+    """
+    spec = read_source(path, folder, options.packages, notes)
+    clean(spec, notes)
+    # The loader adds this to URDFs; the model is written as MJCF.
+    if path.suffix.lower() == ".urdf":
+        steady_urdf(spec)
+    if options.scale is not None:
+        scale_model(spec, options.scale)
+        notes.add(f"all lengths scaled by {options.scale:g}")
+    model = _compile(spec, path)
+    if options.scale is None and scale_meshes(spec, model, notes):
+        model = _compile(spec, path)
+    factor = check_units(model, path)
+    if factor is not None:
+        if not accept_scale(factor):
+            raise DescriptionError(
+                f"{path}: the model's lengths look like millimetres (a link or distance of "
+                "several metres); expected metres. Scale it: --scale 0.001"
+            )
+        scale_model(spec, factor)
+        notes.add(f"the model's lengths look like millimetres: all scaled by {factor:g}")
+    if options.root is not None:
+        spec = cut_out(spec, options.root)
+    prepared = _written(spec, folder, path)
+    if len(prepared.mechanism.above) >= ARM_JOINTS and options.root is None:
+        link = _gripper_root(prepared.mechanism)
+        notes.add(
+            f"{len(prepared.mechanism.above)} joints lead to the palm, so this is an arm with a "
+            f"gripper: cut at link '{link}' (another: --root LINK)"
+        )
+        prepared = _written(cut_out(spec, link), folder, path)
+    _refuse_robot(prepared.mechanism, path)
+    return prepared
+
+
+def _compile(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
+    check_spec(spec, path)
+    try:
+        with quiet_mujoco():
+            return spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        reason = " ".join(str(error).split())
+        raise DescriptionError(f"MuJoCo cannot compile {path}: {reason}") from error
+
+
+def _written(spec: mujoco.MjSpec, folder: Path, path: Path) -> Prepared:
+    """Write the model and load it the way every description's model is loaded."""
+    _compile(spec, path)
+    with quiet_mujoco():
+        xml = spec.to_xml()
+    (folder / MODEL_FILE).write_text(xml.replace(spec.meshdir, FOLDER), encoding="utf-8")
+    used = {mesh.file for mesh in spec.meshes}
+    for file in (folder / FOLDER).glob("*"):
+        if file.name not in used:
+            file.unlink()
+    description = provisional_description(folder)
+    model = compile_spec(build_spec(description), description)
+    motion = Motion(model, find_drives(model))
+    middle = (motion.low + motion.high) / 2.0
+    samples = [motion.poses(v) for v in (motion.rest(), motion.low, middle, motion.high)]
+    return Prepared(folder, model, find_mechanism(model, samples), motion)
+
+
+def provisional_description(folder: Path) -> GripperDescription:
+    """Return a description that names nothing but the model, gripper frame = model frame."""
+    nothing = PostureDescription(joints={})
+    return GripperDescription(
+        name="new",
+        display_name="new",
+        kind="hand",
+        model=MODEL_FILE,
+        mount_from_model=Pose(),
+        tcp=(0.0, 0.0, 0.1),
+        open=nothing,
+        closed=nothing,
+        actuation={},
+        max_width=None,
+        min_width=0.0,
+        fingers=(),
+        symmetry=1,
+        licence="unknown",
+        source="unknown",
+        folder=folder,
+    )
+
+
+def _gripper_root(mechanism: Mechanism) -> str:
+    """Return the lowest link of the palm that all fingers hang from."""
+    roots = [branch.root for branch in mechanism.branches]
+    return _shared_link(mechanism.model, roots, mechanism.palm)
+
+
+def _shared_link(model: mujoco.MjModel, roots: Sequence[int], part: Sequence[int]) -> str:
+    """Return the lowest body of a rigid part that all of the bodies `roots` hang from."""
+    lines = []
+    for root in roots:
+        line, body = [], int(model.body_parentid[root])
+        while body in part and body not in line:
+            line.append(body)
+            body = int(model.body_parentid[body])
+        lines.append(line)
+    shared = [body for body in lines[0] if all(body in line for line in lines)]
+    return model.body(shared[0] if shared else part[0]).name
+
+
+def _refuse_robot(mechanism: Mechanism, path: Path) -> None:
+    if mechanism.branches[0].reach <= LARGEST_REACH:
+        return
+    model = mechanism.model
+    parts = rigid_parts(model)
+    names = []
+    for part, bodies in parts.items():
+        own = [p for p in parts if p and int(model.body_weldid[model.body_parentid[p]]) == part]
+        if part and len(own) >= 2:
+            names.append(_shared_link(model, own, bodies))
+    listed = ", ".join(names[:MOST_NAMES]) or "none has two moving links"
+    raise DescriptionError(
+        f"{path}: a limb of {mechanism.branches[0].reach:.2f} m moves, so this is more than a "
+        f"gripper (or not in metres: --scale). Name the link that the fingers hang from: --root "
+        f"LINK. Links with two moving links or more: {listed}"
+    )

@@ -1,0 +1,134 @@
+"""`megrasp gripper new`: a stranger's model in, a gripper folder out."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from megrasp_core.drawing.gripper_picture import gripper_picture
+from megrasp_core.errors import InvalidRequestError
+from megrasp_core.gripper_tools.check import check_gripper
+from megrasp_core.grippers import (
+    FILE_NAME,
+    Gripper,
+    GripperDescription,
+    load_description,
+    save_description,
+)
+
+from .analyse import Analysis, Overrides, analyse
+from .compose import Labels, compose, valid_name
+from .conclusions import conclude
+from .findings import Finding, Notes
+from .prepare import Prepared, SourceOptions, prepare
+
+REPORT_FILE = "report.json"
+PICTURE_FILE = "picture.png"
+UNKNOWN = "unknown"
+
+Revise = Callable[[list[Finding], Overrides], Overrides | None]
+"""Shows findings to the user; returns changed overrides, or None to accept."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What `megrasp gripper new` is asked for."""
+
+    model: Path
+    out: Path
+    source: SourceOptions = field(default_factory=SourceOptions)
+    overrides: Overrides = field(default_factory=Overrides)
+    name: str | None = None
+    display_name: str | None = None
+    licence: str | None = None
+    origin: str | None = None
+
+
+@dataclass(frozen=True)
+class NewGripper:
+    """What was made: the description in its folder, the analysis, findings, notes, and what the
+    check of the finished gripper says.
+    """
+
+    description: GripperDescription
+    analysis: Analysis
+    findings: list[Finding]
+    notes: list[str]
+    errors: list[str]
+    warnings: list[str]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contents of report.json."""
+        return {
+            "findings": [asdict(finding) for finding in self.findings],
+            "notes": self.notes,
+            "errors": self.errors,
+            "warnings": self.warnings,
+        }
+
+
+def new_gripper(
+    request: Request,
+    revise: Revise | None = None,
+    accept_scale: Callable[[float], bool] | None = None,
+    picture: bool = True,
+) -> NewGripper:
+    """Make `gripper.yaml`, model, picture and report in the folder `request.out`.
+
+    Args:
+        request: model and options.
+        revise: asks the user about what is unsure; None never asks.
+        accept_scale: asks whether to scale a model in millimetres; None never accepts.
+        picture: whether to draw the picture.
+
+    Raises:
+        DescriptionError: the model is wrong (the message says what to do).
+        InvalidRequestError: the folder holds a description already.
+    """
+    out = request.out
+    if (out / FILE_NAME).exists():
+        raise InvalidRequestError(
+            f"{out} holds a {FILE_NAME} already; expected a new folder. Remove it or name another"
+        )
+    notes = Notes()
+    overrides = request.overrides
+    with tempfile.TemporaryDirectory(prefix="megrasp-gripper-") as scratch:
+        prepared = prepare(
+            request.model, Path(scratch), request.source, notes, accept_scale or (lambda _: False)
+        )
+        labels = _labels(request, prepared)
+        while True:
+            analysis = analyse(prepared, overrides)
+            description = compose(prepared, analysis, labels)
+            findings = conclude(prepared, analysis, description, overrides)
+            changed = revise(findings, overrides) if revise is not None else None
+            if changed is None:
+                break
+            overrides = changed
+        save_description(description, prepared.folder)
+        out.mkdir(parents=True, exist_ok=True)
+        shutil.copytree(prepared.folder, out, dirs_exist_ok=True)
+    out.chmod(0o755)
+    made = load_description(out)
+    check = check_gripper(out)
+    result = NewGripper(made, analysis, findings, notes.lines, check.errors, check.warnings)
+    (out / REPORT_FILE).write_text(json.dumps(result.to_dict(), indent=1) + "\n", encoding="utf-8")
+    if picture:
+        gripper_picture(Gripper(made), out / PICTURE_FILE)
+    return result
+
+
+def _labels(request: Request, prepared: Prepared) -> Labels:
+    # The registered name of a gripper is its folder's.
+    name = request.name or valid_name(request.out.resolve().name)
+    return Labels(
+        name=name,
+        display_name=request.display_name or name,
+        licence=request.licence or UNKNOWN,
+        source=request.origin or f"made from {request.model.name}",
+    )

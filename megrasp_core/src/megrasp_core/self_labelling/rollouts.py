@@ -1,0 +1,230 @@
+"""Bins that the model itself clears: every stage becomes a scene with labels of its own grasps.
+
+What a confidence has to tell apart are the grasps that come out of the whole synthesis, in the
+states that executing them leads to: half-empty bins, obstacles, what failed before.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+
+from megrasp_core.cell.rest import come_to_rest
+from megrasp_core.errors import EmptyRegionError, SimulationError
+from megrasp_core.lie import pose7_from_matrix
+from megrasp_core.objects import ObjectSet
+from megrasp_core.pointcloud import Cloud, surface_cloud
+from megrasp_core.scenes import GRAVITY, SceneConfig, draw_layout, region_of, scene_cameras
+from megrasp_core.simulation import DepthNoise, Verdict, World, build_world, judge, observe
+from megrasp_core.storage import (
+    GripperLabels,
+    Kind,
+    SceneRecord,
+    SceneWriter,
+    pack_normals,
+    scene_name,
+)
+from megrasp_core.synthesizer import GraspSynthesizer, RankedGrasp
+
+STAGES = 100
+"""Seeds of the records of one bin: seed * STAGES + stage."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RolloutSettings:
+    """Amounts.
+
+    judged: best ranked grasps tried at every stage. rejected: at most so many that fail the check
+    are tried as well. max_stages, max_failures: end of a bin (failures in a row). drawn: poses of
+    a synthesis.
+    """
+
+    judged: int = 10
+    rejected: int = 6
+    max_stages: int = 14
+    max_failures: int = 3
+    drawn: int = 100
+    scenes: SceneConfig = dataclasses.field(
+        default_factory=lambda: SceneConfig(
+            grippers=(), objects=(2, 11), bin_share=1.0, bin_spread=0.05, obstacle_share=0.85
+        )
+    )
+
+
+def roll_out(
+    seed: int, synthesizer: GraspSynthesizer, objects: ObjectSet, settings: RolloutSettings
+) -> list[SceneRecord]:
+    """Clear one bin with the synthesizer's gripper and return a labelled record for every stage.
+
+    Raises:
+        SimulationError: the bin does not come to rest.
+    """
+    gripper = synthesizer.gripper
+    assert gripper is not None
+    config = settings.scenes
+    layout = draw_layout(seed, config, objects)
+    obstacles = set(np.flatnonzero(layout.obstacle).tolist())
+    world = build_world(
+        [objects[name] for name in layout.object_names],
+        gripper=gripper,
+        bin=layout.bin,
+        obstacles=obstacles,
+        object_poses=layout.matrices,
+    )
+    camera = scene_cameras(seed, config, in_bin=True)[0]
+    rng = np.random.default_rng([seed, 4])
+    region = region_of(layout.bin, config)
+    records: list[SceneRecord] = []
+    failed: list[np.ndarray] = []
+    while len(records) < settings.max_stages and len(failed) < settings.max_failures:
+        present = sorted(world.present)
+        goals = [place for place in present if place not in obstacles]
+        if not goals:
+            break
+        world.park_gripper()
+        cloud = observe(world, camera, DepthNoise(), rng)
+        grasps = synthesizer.synthesize(
+            cloud,
+            num_grasps=settings.drawn,
+            drawn=settings.drawn,
+            region=region,
+            exclude=failed,
+            exclude_radius=0.05,
+            seed=int(rng.integers(2**31)),
+            keep_all=True,
+        ).grasps
+        passing = [grasp for grasp in grasps if grasp.collision_free]
+        others = [grasp for grasp in grasps if not grasp.collision_free]
+        chosen = passing[: settings.judged]
+        if others:
+            picked = rng.permutation(len(others))[: settings.rejected]
+            chosen = chosen + [others[i] for i in picked]
+        state = world.save()
+        verdicts = []
+        for grasp in chosen:
+            verdicts.append(_judge(world, grasp, goals))
+            world.restore(state)
+        records.append(
+            dataclasses.replace(
+                _seen(seed * STAGES + len(records), layout.object_names, world, cloud, config),
+                obstacle=np.array([place in obstacles for place in present]),
+                bin=layout.bin,
+                labels={gripper.name: _labels(chosen, verdicts, present, world)},
+            )
+        )
+        if not passing:
+            break
+        result = _judge(world, passing[0], goals)
+        failed = [] if result.success else [*failed, passing[0].world_from_tcp]
+        for place in result.lifted if result.success else ():
+            world.park_object(place)
+        world.park_gripper()
+        come_to_rest(world)
+    return records
+
+
+def label_rollouts(
+    out: str | Path,
+    synthesizer: GraspSynthesizer,
+    objects: ObjectSet,
+    seeds: Iterable[int],
+    settings: RolloutSettings | None = None,
+    *,
+    on_bin: Callable[[int, int, int], None] | None = None,
+) -> int:
+    """Write the stages of many bins as a data set; resumable bin by bin.
+
+    Args:
+        out: data set folder.
+        synthesizer: model with a gripper.
+        objects: what the bins are filled from.
+        seeds: one bin each.
+        settings: amounts.
+        on_bin: called with the seed, and successes and labels so far.
+
+    Returns:
+        Number of stages written.
+    """
+    settings = settings or RolloutSettings()
+    facts = {
+        "rollouts_of": synthesizer.model.model_id,
+        "weights": str(synthesizer.model.info.get("sha256", "")),
+        "settings": dataclasses.asdict(settings),
+    }
+    writer = SceneWriter(Path(out), facts)
+    written = won = tried = 0
+    try:
+        for seed in seeds:
+            if seed * STAGES in writer:
+                continue
+            try:
+                records = roll_out(seed, synthesizer, objects, settings)
+            except (SimulationError, EmptyRegionError):
+                continue
+            # The first stage marks the bin as done, so it goes last.
+            for record in reversed(records):
+                writer.add(record)
+                won += sum(int(part.label.sum()) for part in record.labels.values())
+                tried += sum(len(part) for part in record.labels.values())
+            written += len(records)
+            if on_bin is not None:
+                on_bin(seed, won, tried)
+    finally:
+        writer.close()
+    return written
+
+
+def _judge(world: World, grasp: RankedGrasp, goals: list[int]) -> Verdict:
+    return judge(
+        world,
+        grasp.world_from_gripper,
+        graspable=goals,
+        approach=grasp.world_from_gripper_approach,
+    )
+
+
+def _seen(
+    number: int, names: tuple[str, ...], world: World, cloud: Cloud, config: SceneConfig
+) -> SceneRecord:
+    """What the camera saw of the objects that are still there, without labels."""
+    present = sorted(world.present)
+    region = region_of(world.bin, config)
+    surface = surface_cloud(
+        cloud, gravity=np.array(GRAVITY), region=region, settings=config.surface
+    )
+    return SceneRecord(
+        name=scene_name(number),
+        seed=number,
+        object_names=tuple(names[place] for place in present),
+        object_poses=pose7_from_matrix(world.object_poses()[present]).astype(np.float32),
+        obstacle=np.zeros(len(present), bool),
+        bin=None,
+        points=surface.points.astype(np.float16),
+        normals=pack_normals(surface.normals),
+        on_plane=surface.on_plane,
+        sensor=np.asarray(surface.sensor, np.float32),
+        gravity=np.asarray(GRAVITY, np.float32),
+    )
+
+
+def _labels(
+    grasps: list[RankedGrasp], verdicts: list[Verdict], present: list[int], world: World
+) -> GripperLabels:
+    poses = np.array([grasp.world_from_tcp for grasp in grasps]).reshape(-1, 4, 4)
+    centres = world.object_poses()[present][:, :3, 3]
+    nearest = np.linalg.norm(poses[:, None, :3, 3] - centres, axis=2).argmin(axis=1)
+    owner = [
+        near if verdict.target is None else present.index(verdict.target)
+        for near, verdict in zip(nearest.tolist(), verdicts)
+    ]
+    return GripperLabels(
+        np.asarray(pose7_from_matrix(poses), np.float32).reshape(-1, 7),
+        np.array(owner, np.int16),
+        np.array([verdict.success for verdict in verdicts], np.int8),
+        np.full(len(grasps), int(Kind.SAMPLED), np.int8),
+        np.array(["" if v.success else v.reason.value for v in verdicts], np.str_),
+        np.array([verdict.extra for verdict in verdicts], np.int8),
+    )

@@ -1,0 +1,277 @@
+"""Node `sim_cell`: the robot cell, played in MuJoCo, behind the interfaces of a real cell.
+
+Publishes `points` (PointCloud2, best effort, depth 1), `depth` and `camera_info`, each only while
+somebody listens, and `tool_id` (latched). Serves `change_tool` and the action `execute_grasp`. The
+simulation runs in one worker thread, so that services answer while a grasp is executed.
+
+Frames: `cell` is the world of the simulation, z up, origin on the bin's floor in its middle;
+`cell_camera_optical_frame` is the camera's. Grasps are accepted in both.
+"""
+
+from __future__ import annotations
+
+import traceback
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+from builtin_interfaces.msg import Time as TimeMessage
+from megrasp_msgs.action import ExecuteGrasp
+from megrasp_msgs.srv import ChangeTool
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from rclpy.time import Time
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from std_msgs.msg import String
+
+from megrasp_core.cell.robot_cell import CellView, ExecutionResult, RobotCell
+from megrasp_core.errors import InvalidRequestError
+from megrasp_core.objects import load_objects
+from megrasp_ros.conversions import matrix_from_pose
+from megrasp_ros.errors import (
+    BusyError,
+    StaleCloudError,
+    ToolMismatchError,
+    TransformError,
+    describe,
+    is_expected,
+)
+from megrasp_ros.node_main import run_node
+from megrasp_ros.qos import LATCHED, SENSOR
+from megrasp_ros.sensor_messages import camera_info_message, cloud_message, depth_message
+
+from .parameters import CellParameters, declare_cell_parameters
+
+CELL_FRAME = "cell"
+CAMERA_FRAME = "cell_camera_optical_frame"
+
+FUTURE_TOLERANCE = 1.0
+"""A stamp may lie this far (s) ahead of the node's clock."""
+
+
+class SimCell(Node):
+    """The cell as a node. The services exist once the objects have settled, so wait for them."""
+
+    def __init__(self) -> None:
+        super().__init__("sim_cell")
+        self._parameters = declare_cell_parameters(self)
+        self._cell = make_cell(self._parameters)
+        self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="cell")
+        self._executing = False
+        self._publishing = False
+        self._scene_changed = Time(clock_type=self.get_clock().clock_type)
+        self._points = self.create_publisher(PointCloud2, "points", SENSOR)
+        self._depth = self.create_publisher(Image, "depth", SENSOR)
+        self._camera_info = self.create_publisher(CameraInfo, "camera_info", SENSOR)
+        self._tool_id = self.create_publisher(String, "tool_id", LATCHED)
+        self._report_tool()
+        group = ReentrantCallbackGroup()
+        self.create_timer(1.0 / self._parameters.cloud_rate, self._tick, callback_group=group)
+        self.create_service(ChangeTool, "change_tool", self._change_tool, callback_group=group)
+        self._action = ActionServer(
+            self,
+            ExecuteGrasp,
+            "execute_grasp",
+            self._execute,
+            callback_group=group,
+            # The simulated motion is over in about a second and cannot stop halfway.
+            cancel_callback=lambda _: CancelResponse.REJECT,
+            result_timeout=60,
+        )
+        self.get_logger().info(
+            f"ready: {self._cell.objects_left} objects, rack {', '.join(self._cell.rack)}, "
+            f"{self._cell.gripper.name} mounted"
+        )
+
+    def destroy_node(self) -> None:
+        """Waits for the simulation step that is running, then lets go of the node."""
+        self._worker.shutdown(wait=True, cancel_futures=True)
+        self._action.destroy()
+        super().destroy_node()
+
+    # Camera
+
+    def _tick(self) -> None:
+        if not self.context.ok():
+            return
+        wanted = any(
+            publisher.get_subscription_count()
+            for publisher in (self._points, self._depth, self._camera_info)
+        )
+        # A picture taken while the arm is in the bin would show what is no longer there a moment
+        # later.
+        if wanted and not (self._publishing or self._executing):
+            self._publishing = True
+            self._worker.submit(self._publish_view)
+
+    def _publish_view(self) -> None:
+        try:
+            stamp = self.get_clock().now().to_msg()
+            view = self._cell.look()
+            if self._points.get_subscription_count():
+                self._points.publish(self._cloud(view, stamp))
+            if self._depth.get_subscription_count():
+                self._depth.publish(depth_message(view.depth, frame=CAMERA_FRAME, stamp=stamp))
+            if self._camera_info.get_subscription_count():
+                self._camera_info.publish(
+                    camera_info_message(view.camera, frame=CAMERA_FRAME, stamp=stamp)
+                )
+        except Exception:
+            # Ctrl-C makes the publishers invalid while a picture is on its way.
+            if self.context.ok():
+                self.get_logger().error(f"no picture: {traceback.format_exc()}")
+        finally:
+            self._publishing = False
+
+    def _cloud(self, view: CellView, stamp: TimeMessage) -> PointCloud2:
+        if self._parameters.frame == "cell":
+            return cloud_message(view.cloud.points, frame=CELL_FRAME, stamp=stamp)
+        cloud = view.cloud.transformed(np.linalg.inv(view.camera.world_from_camera))
+        return cloud_message(cloud.points, frame=CAMERA_FRAME, stamp=stamp)
+
+    # Tool
+
+    def _change_tool(
+        self, request: ChangeTool.Request, response: ChangeTool.Response
+    ) -> ChangeTool.Response:
+        try:
+            if not request.gripper_name:
+                raise InvalidRequestError(
+                    f"gripper_name is empty; expected one of {', '.join(self._cell.rack)}"
+                )
+            self._worker.submit(self._cell.change_tool, request.gripper_name).result()
+            response.success = True
+            self.get_logger().info(f"mounted {request.gripper_name}")
+        except Exception as error:
+            _, response.message = self._explain(error)
+            self.get_logger().warning(f"tool not changed: {response.message}")
+        response.mounted = self._cell.gripper.name
+        self._report_tool()
+        return response
+
+    def _report_tool(self) -> None:
+        self._tool_id.publish(String(data=self._cell.gripper.name))
+
+    # Execution
+
+    def _execute(self, handle: ServerGoalHandle) -> ExecuteGrasp.Result:
+        goal: ExecuteGrasp.Goal = handle.request
+        result = ExecuteGrasp.Result(objects_left=self._cell.objects_left)
+        try:
+            outcome = self._attempt(goal, handle)
+        except Exception as error:
+            result.error_code, result.error_msg = self._explain(error)
+        else:
+            result.success = outcome.success
+            result.removed = list(outcome.removed)
+            result.error_msg = outcome.error
+            if outcome.spilled:
+                result.error_msg += f" (fell out of the bin: {', '.join(outcome.spilled)})"
+            result.objects_left = outcome.objects_left
+            handle.succeed()
+            self.get_logger().info(_report(outcome))
+            return result
+        self.get_logger().warning(f"grasp refused, error {result.error_code}: {result.error_msg}")
+        handle.abort()
+        return result
+
+    def _attempt(self, goal: ExecuteGrasp.Goal, handle: ServerGoalHandle) -> ExecutionResult:
+        if self._executing:
+            raise BusyError("another grasp is being executed; wait for its result")
+        self._executing = True
+        try:
+            return self._worker.submit(self._attempt_in_worker, goal, handle).result()
+        finally:
+            self._executing = False
+
+    def _attempt_in_worker(
+        self, goal: ExecuteGrasp.Goal, handle: ServerGoalHandle
+    ) -> ExecutionResult:
+        # In the worker, because a tool change that was queued before this goal decides whether it
+        # fits.
+        self._check_goal(goal)
+        world_from_frame = self._world_from(goal.header.frame_id)
+        pose = world_from_frame @ matrix_from_pose(goal.grasp.pregrasp, "grasp.pregrasp")
+        approach = world_from_frame @ matrix_from_pose(goal.grasp.approach, "grasp.approach")
+        handle.publish_feedback(ExecuteGrasp.Feedback(phase="approach"))
+        outcome = self._cell.execute(pose, approach)
+        self._scene_changed = self.get_clock().now()
+        handle.publish_feedback(ExecuteGrasp.Feedback(phase="drop"))
+        return outcome
+
+    def _check_goal(self, goal: ExecuteGrasp.Goal) -> None:
+        mounted = self._cell.gripper.name
+        if goal.gripper != mounted:
+            raise ToolMismatchError(
+                f"the grasp is for {goal.gripper or '(no gripper named)'}, but {mounted} is "
+                "mounted; call "
+                "change_tool or synthesize for the mounted gripper",
+            )
+        stamp = Time.from_msg(goal.header.stamp, clock_type=self.get_clock().clock_type)
+        if stamp.nanoseconds == 0:
+            raise InvalidRequestError(
+                "header.stamp is 0; expected the stamp of the cloud that the grasp was computed "
+                "from",
+            )
+        if stamp <= self._scene_changed:
+            raise StaleCloudError(
+                "the grasp was computed from a cloud taken before the last attempt, which moved "
+                "the objects; "
+                "synthesize again with not_before set to the end of that attempt",
+            )
+        ahead = (stamp - self.get_clock().now()).nanoseconds * 1e-9
+        if ahead > FUTURE_TOLERANCE:
+            raise InvalidRequestError(
+                f"header.stamp is {ahead:.1f} s in the future; check the clocks (use_sim_time) "
+                "of the two nodes",
+            )
+
+    def _explain(self, error: Exception) -> tuple[int, str]:
+        """Error code and text; what nobody expected leaves its traceback in the log."""
+        if not is_expected(error):
+            self.get_logger().error("".join(traceback.format_exception(error)))
+        return describe(error)
+
+    def _world_from(self, frame: str) -> np.ndarray:
+        if frame == CELL_FRAME:
+            return np.eye(4)
+        if frame == CAMERA_FRAME:
+            return self._cell.settings.camera.world_from_camera
+        raise TransformError(
+            f"header.frame_id is {frame!r}; expected {CELL_FRAME!r} or {CAMERA_FRAME!r}",
+        )
+
+
+def make_cell(parameters: CellParameters) -> RobotCell:
+    """The cell that the parameters describe. Raises MegraspError."""
+    mounted = parameters.gripper or None
+    if not parameters.objects_dir:
+        return RobotCell.procedural(
+            parameters.num_objects, parameters.grippers, seed=parameters.seed, mounted=mounted
+        )
+    stock = load_objects(Path(parameters.objects_dir))
+    if not stock:
+        raise InvalidRequestError(
+            f"objects_dir {parameters.objects_dir!r} holds no object; expected folders with a "
+            "meta.json"
+        )
+    rng = np.random.default_rng(parameters.seed)
+    chosen = rng.choice(
+        len(stock), size=parameters.num_objects, replace=parameters.num_objects > len(stock)
+    )
+    return RobotCell(
+        [stock[i] for i in chosen], parameters.grippers, seed=parameters.seed, mounted=mounted
+    )
+
+
+def _report(outcome: ExecutionResult) -> str:
+    what = ", ".join(outcome.removed) or "nothing"
+    how = "success" if outcome.success else f"failure ({outcome.error})"
+    return f"{how}: removed {what}; {outcome.objects_left} objects left"
+
+
+def main() -> None:
+    """Entry point of the executable `sim_cell`."""
+    run_node(SimCell)

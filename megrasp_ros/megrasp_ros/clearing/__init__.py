@@ -1,0 +1,1 @@
+"""The node that empties a bin through the public interface only."""

@@ -1,0 +1,247 @@
+"""Node `bin_clearing`: empties a bin through the public interface only, as a cell program would.
+
+The first gripper takes its share of the objects, then `set_gripper` and `change_tool` bring the
+next one; the rules (shares, tries, giving up) are those of `megrasp_core.cell.clearing`.
+Before every pick it leaves a picture of the cloud and the ranked grasps, at the end one contact
+sheet and summary.json.
+
+Exit code: 0 the run was completed, even if objects are left (the summary tells), 1 a part of the
+system failed, 2 wrong parameters.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+import threading
+import time
+from pathlib import Path
+
+import rclpy
+from builtin_interfaces.msg import Time as TimeMessage
+from megrasp_msgs.msg import ErrorCode
+from megrasp_msgs.srv import SynthesizeGrasps
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.logging import get_logger
+from rclpy.node import Node
+
+from megrasp_core.cell.clearing import ClearingPlan, PickRecord
+from megrasp_core.errors import MegraspError
+from megrasp_ros.conversions import box_from_message, matrix_from_pose, pose_from_matrix
+from megrasp_ros.spinning import spin
+
+from .client import ClearingClient, SystemFailure
+from .parameters import ClearingParameters, declare_clearing_parameters
+from .pictures import ClearingPictures
+
+TRANSIENT = (ErrorCode.BUSY, ErrorCode.NO_CLOUD, ErrorCode.STALE_CLOUD, ErrorCode.TOOL_MISMATCH)
+"""Errors that pass by themselves: a job ends, a cloud or the identity of the new tool arrives."""
+
+TRANSIENT_WAIT = 60.0
+RETRY_PERIOD = 0.5
+STALE_IN_A_ROW = 3
+
+
+class BinClearing:
+    """One run. `print` is its output: a line per pick and a summary."""
+
+    def __init__(self, node: Node, parameters: ClearingParameters) -> None:
+        self._node = node
+        self._parameters = parameters
+        self._client = ClearingClient(node, timeout=parameters.call_timeout)
+        self._out = Path(parameters.out)
+        region = box_from_message(parameters.region)
+        self._pictures = ClearingPictures(self._out, region) if parameters.pictures else None
+        self._plan = ClearingPlan(
+            parameters.grippers, parameters.num_objects, tries=parameters.tries
+        )
+        self._mounted = ""
+        self._not_before = TimeMessage()
+        self._stale = 0
+
+    def run(self) -> dict[str, object]:
+        """Empties the bin and returns the summary, which is also written. Raises SystemFailure."""
+        self._out.mkdir(parents=True, exist_ok=True)
+        started = time.monotonic()
+        failure = ""
+        try:
+            self._client.wait_until_ready(self._parameters.ready_timeout)
+            while (gripper := self._plan.gripper) is not None:
+                if gripper != self._mounted:
+                    self._mount(gripper)
+                self._pick(gripper)
+        except SystemFailure as error:
+            failure = str(error)
+            self._plan.stop(f"system failure: {failure}")
+            raise
+        finally:
+            if not self._plan.ended:
+                self._plan.stop("interrupted")
+            summary = self._plan.summary() | {
+                "seconds": time.monotonic() - started,
+                "seed": self._parameters.seed,
+                "system_failure": failure,
+            }
+            self._leave(summary)
+        return summary
+
+    def _mount(self, gripper: str) -> None:
+        answer = self._client.set_gripper(gripper)
+        if not answer.success:
+            raise SystemFailure(
+                f"set_gripper refused {gripper!r} with error {answer.error_code}: "
+                f"{answer.error_msg}"
+            )
+        change = self._client.change_tool(gripper)
+        if not change.success:
+            raise SystemFailure(f"change_tool refused {gripper!r}: {change.message}")
+        print(f"mounted {gripper}", flush=True)
+        self._mounted = gripper
+        self._not_before = self._node.get_clock().now().to_msg()
+
+    def _pick(self, gripper: str) -> None:
+        attempt = len(self._plan.records) + 1
+        begun = time.monotonic()
+        answer = self._synthesize(attempt)
+        synthesis_seconds = time.monotonic() - begun
+        grasps = list(answer.grasps.grasps)
+        poses = [matrix_from_pose(grasp.tcp, "grasp.tcp") for grasp in grasps]
+        chosen = self._plan.choose(poses) if poses else None
+        picture = self._picture(attempt, gripper, answer, chosen)
+        common = {
+            "attempt": attempt,
+            "gripper": gripper,
+            "returned": len(grasps),
+            "synthesis_seconds": synthesis_seconds,
+            "rejected": {row.reason: int(row.count) for row in answer.rejected},
+            "picture": picture,
+        }
+        if chosen is None:
+            reason = "no grasp found" if not grasps else "all grasps are aimed at given-up objects"
+            record = PickRecord(
+                success=False,
+                reason=reason,
+                removed=(),
+                objects_left=self._plan.objects_left,
+                **common,
+            )
+            self._plan.record(record, None)
+        else:
+            grasp = grasps[chosen]
+            begun = time.monotonic()
+            result = self._client.execute(answer.grasps.header, answer.grasps.gripper, grasp)
+            self._not_before = self._node.get_clock().now().to_msg()
+            if result.error_code == ErrorCode.STALE_CLOUD and self._stale < STALE_IN_A_ROW:
+                # The scene moved between the picture and the attempt; nothing was tried.
+                self._stale += 1
+                return
+            self._stale = 0
+            if result.error_code != ErrorCode.NONE:
+                raise SystemFailure(
+                    f"execute_grasp refused the grasp with error {result.error_code}: "
+                    f"{result.error_msg}"
+                )
+            record = PickRecord(
+                success=result.success,
+                reason=result.error_msg,
+                removed=tuple(result.removed),
+                objects_left=int(result.objects_left),
+                score=float(grasp.score),
+                width=float(grasp.width),
+                execution_seconds=time.monotonic() - begun,
+                **common,
+            )
+            self._plan.record(record, poses[chosen])
+        print(record.line(), flush=True)
+        if answer.error_code == ErrorCode.BIN_EMPTY:
+            self._plan.stop("grasp_server sees an empty bin")
+
+    def _synthesize(self, attempt: int) -> SynthesizeGrasps.Response:
+        end = time.monotonic() + TRANSIENT_WAIT
+        while True:
+            answer = self._client.synthesize(
+                num_grasps=self._parameters.num_grasps,
+                region=self._parameters.region,
+                not_before=self._not_before,
+                exclude=[pose_from_matrix(pose) for pose in self._plan.excluded],
+                exclude_radius=self._plan.exclude_radius,
+                seed=self._parameters.seed + attempt,
+            )
+            if answer.success or answer.error_code in (
+                ErrorCode.NO_GRASP_FOUND,
+                ErrorCode.BIN_EMPTY,
+            ):
+                return answer
+            if answer.error_code not in TRANSIENT or time.monotonic() > end:
+                raise SystemFailure(
+                    f"synthesize_grasps failed with error {answer.error_code}: {answer.error_msg}"
+                )
+            time.sleep(RETRY_PERIOD)
+
+    def _picture(
+        self, attempt: int, gripper: str, answer: SynthesizeGrasps.Response, chosen: int | None
+    ) -> str | None:
+        if self._pictures is None:
+            return None
+        cloud = self._client.cloud_of(answer.grasps.header.stamp)
+        if cloud is None:
+            return None
+        return self._pictures.pick(attempt, cloud, answer.grasps, chosen, gripper)
+
+    def _leave(self, summary: dict[str, object]) -> None:
+        if self._pictures is not None:
+            summary["contact_sheet"] = self._pictures.contact_sheet(self._plan.records)
+        path = self._out / "summary.json"
+        path.write_text(json.dumps(summary, indent=2) + "\n")
+        print(
+            f"{len(summary['removed'])} of {summary['objects_at_start']} objects removed in "
+            f"{summary['attempts']} picks and {summary['seconds']:.0f} s, "
+            f"{summary['objects_left']} left; "
+            f"{summary['ended']}. {path}",
+            flush=True,
+        )
+
+
+def main() -> None:
+    """Entry point of the executable `bin_clearing`."""
+    sys.exit(_run())
+
+
+def _run() -> int:
+    rclpy.init()
+    log = get_logger("bin_clearing")
+    executor = SingleThreadedExecutor()
+    spinner: threading.Thread | None = None
+    try:
+        node = Node("bin_clearing")
+        clearing = BinClearing(node, declare_clearing_parameters(node))
+        executor.add_node(node)
+        spinner = threading.Thread(target=_spin, args=(executor,), daemon=True)
+        spinner.start()
+        clearing.run()
+        return 0
+    except (MegraspError, ParameterException) as error:
+        log.fatal(str(error))
+        return 2
+    except SystemFailure as error:
+        log.fatal(str(error))
+        return 1
+    except (KeyboardInterrupt, ExternalShutdownException):
+        return 130
+    except Exception:
+        # A signal makes rclpy's handles invalid under whatever call is running.
+        if rclpy.ok():
+            raise
+        return 130
+    finally:
+        executor.shutdown()
+        rclpy.try_shutdown()
+        if spinner is not None:
+            spinner.join(timeout=5.0)
+
+
+def _spin(executor: SingleThreadedExecutor) -> None:
+    with contextlib.suppress(ExternalShutdownException):
+        spin(executor)

@@ -1,0 +1,1 @@
+"""The grasp server: clouds in, ranked grasps out."""

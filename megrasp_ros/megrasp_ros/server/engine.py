@@ -1,0 +1,147 @@
+"""The synthesizer of the node and what is loaded into it. Everything that computes runs in the
+worker thread.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from megrasp_core.errors import MegraspError, ModelError
+from megrasp_core.grippers import Gripper, list_grippers, load_gripper
+
+from .parameters import Settings
+
+#: (model or None, device, threads or None) -> an object like
+# megrasp_core.synthesizer.GraspSynthesizer
+Factory = Callable[[str | None, str, int | None], Any]
+
+
+def load_synthesizer(model: str | None, device: str, threads: int | None) -> Any:
+    """Load the real synthesizer (megrasp_core.synthesizer)."""
+    from megrasp_core.synthesizer import GraspSynthesizer
+
+    return GraspSynthesizer.load(model=model, device=device, threads=threads)
+
+
+def resolve_device(device: str) -> str:
+    """Return the torch device that `auto` stands for, other values as they are."""
+    if device != "auto":
+        return device
+    import torch
+
+    return "cuda" if torch.cuda.is_available() else "cpu"
+
+
+class Engine:
+    """Loads the model and the grippers when the settings ask for others; remembers the active
+    gripper.
+    """
+
+    def __init__(self, factory: Factory = load_synthesizer) -> None:
+        self._factory = factory
+        self._synthesizer: Any = None
+        self._loaded: tuple[str, str, int] | None = None
+        self._in_use: Gripper | None = None
+        self._cache: dict[tuple[str, tuple[str, ...]], Gripper] = {}
+        self._lock = threading.Lock()
+        self.active: Gripper | None = None
+
+    @property
+    def model_id(self) -> str:
+        """Id of the loaded model, "" when none is."""
+        return "" if self._synthesizer is None else str(self._synthesizer.model.model_id)
+
+    @property
+    def device(self) -> str:
+        """Device of the loaded model, "" when none is."""
+        return "" if self._loaded is None else self._loaded[1]
+
+    def load_model(self, settings: Settings) -> None:
+        """Load the model unless it is the loaded one. Raises ModelError."""
+        key = (settings.model, resolve_device(settings.device), settings.threads)
+        if self._synthesizer is not None and key == self._loaded:
+            return
+        self.unload()
+        try:
+            self._synthesizer = self._factory(
+                settings.model or None, key[1], settings.threads or None
+            )
+        except MegraspError:
+            raise
+        except Exception as error:
+            raise ModelError(
+                f"the model {settings.model or '(default)'} cannot be loaded on {key[1]}: "
+                f"{type(error).__name__}: "
+                f"{error}. Expected a folder with config.json and model.safetensors; check the "
+                "parameters model and "
+                "device, or set MEGRASP_MODELS."
+            ) from error
+        self._loaded = key
+
+    def unload(self) -> None:
+        """Drop the model; the active gripper stays."""
+        self._synthesizer = self._loaded = self._in_use = None
+
+    def available(self, settings: Settings) -> list[str]:
+        """Return the registered names."""
+        return list(list_grippers(settings.gripper_paths))
+
+    def gripper(self, name: str, settings: Settings) -> Gripper:
+        """Return a gripper, loaded once. Raises UnknownGripperError or DescriptionError."""
+        key = (name, settings.gripper_paths)
+        with self._lock:
+            if key not in self._cache:
+                self._cache[key] = load_gripper(name, settings.gripper_paths)
+            return self._cache[key]
+
+    def forget_grippers(self) -> None:
+        """Read descriptions from disk again when they are next needed."""
+        with self._lock:
+            self._cache.clear()
+
+    def use(self, gripper: Gripper) -> None:
+        """Encode the gripper in the synthesizer, unless it is the one in use."""
+        if self._synthesizer is not None and self._in_use is not gripper:
+            self._in_use = None
+            self._synthesizer.set_gripper(gripper)
+            self._in_use = gripper
+
+    def synthesize(self, gripper: Gripper, cloud: Any, **options: Any) -> Any:
+        """Return the Synthesis of a cloud for this gripper; the model must be loaded."""
+        if self._synthesizer is None:
+            raise ModelError(
+                "no model is loaded; expected one. Set the parameter model and call again."
+            )
+        self.use(gripper)
+        return self._synthesizer.synthesize(cloud, **options)
+
+    def seen_in_training(self, gripper: Gripper) -> bool:
+        """Return whether the loaded model was trained with this description."""
+        if self._synthesizer is None:
+            return False
+        return gripper.hash in trained_hashes(self._synthesizer.model.info)
+
+
+def trained_hashes(info: Mapping[str, Any]) -> set[str]:
+    """Return the description hashes under `trained_grippers` of a model's config.json.
+
+    Both {name: hash} and [{"name": ..., "hash": ...}] are read.
+    """
+    trained = info.get("trained_grippers") or {}
+    if isinstance(trained, Mapping):
+        return {str(value) for value in trained.values()}
+    return {str(entry["hash"]) if isinstance(entry, Mapping) else str(entry) for entry in trained}
+
+
+def best_of(results: list[tuple[Gripper, Any]]) -> tuple[Gripper, Any]:
+    """Return the gripper whose best grasp scores highest, and its synthesis; the first one if none
+    has any.
+    """
+    return max(results, key=lambda pair: pair[1].grasps[0].score if pair[1].grasps else -np.inf)
+
+
+__all__ = ["Engine", "Factory", "best_of", "load_synthesizer", "resolve_device", "trained_hashes"]

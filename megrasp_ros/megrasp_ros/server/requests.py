@@ -1,0 +1,92 @@
+"""A synthesis request, checked: from the service, the action or auto_synthesize."""
+
+from __future__ import annotations
+
+import math
+import secrets
+from dataclasses import dataclass, field
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from megrasp_msgs.action import GenerateGrasps
+from megrasp_msgs.srv import SynthesizeGrasps
+from numpy.typing import NDArray
+from sensor_msgs.msg import PointCloud2
+
+from megrasp_core.errors import InvalidRequestError
+from megrasp_core.pointcloud import OrientedBox
+from megrasp_ros.conversions import box_from_message, matrix_from_pose
+
+from .parameters import Settings
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to compute. Poses and region are in the planning frame; fields as in
+    SynthesizeGrasps.srv.
+    """
+
+    num_grasps: int
+    seed: int
+    max_tilt: float
+    timeout: float
+    region: OrientedBox | None
+    gripper_name: str = ""
+    cloud: PointCloud2 | None = None
+    not_before: Time = field(default_factory=Time)
+    exclude: tuple[NDArray[np.float64], ...] = ()
+    exclude_radius: float = 0.02
+
+
+def checked_request(
+    message: SynthesizeGrasps.Request | GenerateGrasps.Goal, settings: Settings
+) -> Request:
+    """Return the request with the parameters filled in for what it leaves open.
+
+    Raises InvalidRequestError when a field is out of its range.
+    """
+    if not 1 <= message.num_grasps <= settings.max_num_grasps:
+        raise InvalidRequestError(
+            f"num_grasps is {message.num_grasps}; expected 1 to {settings.max_num_grasps}, the "
+            "parameter "
+            "max_num_grasps. Ask for fewer, or raise the parameter."
+        )
+    _in_range("max_tilt", message.max_tilt, math.pi, "rad; 0: the parameter max_tilt")
+    _in_range("timeout", message.timeout, 3600.0, "s; 0: the parameter request_timeout")
+    _in_range("exclude_radius", message.exclude_radius, 10.0, "m")
+    region = box_from_message(message.region)
+    return Request(
+        num_grasps=int(message.num_grasps),
+        seed=int(message.seed) or random_seed(),
+        max_tilt=float(message.max_tilt) or settings.max_tilt,
+        timeout=float(message.timeout) or settings.request_timeout,
+        region=region if region is not None else settings.region,
+        gripper_name=message.gripper_name,
+        cloud=message.cloud if message.cloud.width else None,
+        not_before=message.not_before,
+        exclude=tuple(
+            matrix_from_pose(pose, f"exclude[{i}]") for i, pose in enumerate(message.exclude)
+        ),
+        exclude_radius=float(message.exclude_radius),
+    )
+
+
+def automatic_request(settings: Settings) -> Request:
+    """Return the request of auto_synthesize: everything from the parameters."""
+    return Request(
+        num_grasps=min(settings.num_grasps, settings.max_num_grasps),
+        seed=random_seed(),
+        max_tilt=settings.max_tilt,
+        timeout=settings.request_timeout,
+        region=settings.region,
+    )
+
+
+def random_seed() -> int:
+    """Return a seed over 0, short enough to be typed again."""
+    return secrets.randbits(31) + 1
+
+
+def _in_range(name: str, value: float, high: float, meaning: str) -> None:
+    if not 0.0 <= value <= high:
+        raise InvalidRequestError(f"{name} is {value}; expected 0 to {high:.5g} ({meaning}).")

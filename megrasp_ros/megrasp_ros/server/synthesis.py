@@ -1,0 +1,162 @@
+"""One synthesis, from a request to an outcome; runs in the worker thread."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from megrasp_msgs.msg import ErrorCode
+from numpy.typing import NDArray
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+
+from megrasp_core.grippers import Gripper
+from megrasp_core.pointcloud import Cloud
+from megrasp_ros.conversions import points_from_cloud
+from megrasp_ros.errors import BinEmptyError
+
+from .clouds import CloudSource
+from .engine import Engine, best_of
+from .floor import only_support_left
+from .frames import FrameSource, gravity_in
+from .grasp_messages import Outcome, grasp_array, rejection_counts, timing_message
+from .parameters import Settings
+from .requests import Request
+from .worker import Job
+
+FloatArray = NDArray[np.float64]
+#: (phase, step, total_steps)
+OnStep = Callable[[str, int, int], None]
+#: The core's phase names -> those of GenerateGrasps.action
+_PHASES = {"rank": "check"}
+
+
+class Synthesis:
+    """The steps of a request: wait for the cloud, bring it into the planning frame, synthesize,
+    make messages.
+    """
+
+    def __init__(self, engine: Engine, clouds: CloudSource, frames: FrameSource) -> None:
+        self._engine = engine
+        self._clouds = clouds
+        self._frames = frames
+        self.last_points: FloatArray = np.empty((0, 3))
+
+    def run(
+        self,
+        job: Job,
+        request: Request,
+        settings: Settings,
+        grippers: list[Gripper],
+        on_step: OnStep | None = None,
+    ) -> Outcome:
+        """Return the outcome for the best of `grippers` (usually one).
+
+        Errors of the request, the cloud and the model are raised; that no grasp was found is an
+        outcome, since it comes with counts.
+        """
+        step = on_step or (lambda phase, index, total: None)
+        step("wait", 0, 0)
+        message = request.cloud
+        if message is None:
+            message = self._clouds.wait(
+                job,
+                timeout=min(settings.cloud_timeout, job.remaining),
+                max_age=settings.cloud_max_age,
+                not_before=request.not_before,
+            )
+        waited = job.elapsed
+        step("perceive", 0, 1)
+        perceived = time.monotonic()
+        cloud, header, gravity = self._perceive(message, settings)
+        job.check()
+        if only_support_left(cloud.points, request.region, gravity):
+            raise BinEmptyError(
+                "only the support surface is left in the "
+                f"{'region' if request.region is not None else 'cloud'}; "
+                "expected objects of at least 10 mm height. The bin is empty; fill it, or check "
+                "the region."
+            )
+        perceive = time.monotonic() - perceived
+        results = [
+            (
+                gripper,
+                self._engine.synthesize(
+                    gripper, cloud, **self._options(job, request, settings, gravity, step)
+                ),
+            )
+            for gripper in grippers
+        ]
+        gripper, synthesis = best_of(results)
+        outcome = Outcome(
+            grasps=grasp_array(
+                gripper,
+                synthesis.grasps,
+                header=header,
+                model_id=self._engine.model_id,
+                seed=synthesis.seed,
+            ),
+            timing=timing_message(
+                synthesis.timing, wait=waited, perceive=perceive, total=job.elapsed
+            ),
+            rejected=rejection_counts(synthesis.rejected),
+        )
+        if not synthesis.grasps:
+            outcome.error_code = ErrorCode.NO_GRASP_FOUND
+            outcome.error_msg = no_grasp_text(synthesis.drawn, synthesis.rejected, gripper.name)
+        return outcome
+
+    def _perceive(
+        self, message: PointCloud2, settings: Settings
+    ) -> tuple[Cloud, Header, FloatArray]:
+        """Return the cloud in the planning frame, the header of the answer and gravity (3,) in
+        that frame.
+        """
+        frame, planning_from_cloud = self._frames.planning_from_cloud(message.header, settings)
+        gravity = gravity_in(frame, settings)
+        cloud = Cloud(points_from_cloud(message), None, settings.sensor_origin).transformed(
+            planning_from_cloud
+        )
+        self.last_points = cloud.points
+        return cloud, Header(stamp=message.header.stamp, frame_id=frame), gravity
+
+    def _options(
+        self, job: Job, request: Request, settings: Settings, gravity: FloatArray, step: OnStep
+    ) -> dict[str, Any]:
+        return {
+            "num_grasps": request.num_grasps,
+            "drawn": max(settings.drawn, request.num_grasps),
+            "gravity": gravity,
+            "region": request.region,
+            "walls": settings.region_walls,
+            "max_tilt": request.max_tilt if request.max_tilt < np.pi else None,
+            "approach_distance": settings.approach_distance,
+            "approach_direction": settings.approach_direction,
+            "exclude": request.exclude,
+            "exclude_radius": request.exclude_radius,
+            "seed": request.seed,
+            "on_step": lambda phase, index, total: step(_PHASES.get(phase, phase), index, total),
+            "cancelled": job.should_stop,
+        }
+
+
+def no_grasp_text(drawn: int, rejected: dict[str, int], gripper: str) -> str:
+    """Return the message of error 400, with what to do about the most frequent reason."""
+    counts = (
+        ", ".join(f"{reason} {count}" for reason, count in rejected.items() if count)
+        or "no reason counted"
+    )
+    advice = {
+        "collision": "the gripper may be too large for the heap; try another gripper",
+        "unseen": "much of the scene is hidden from the camera; look from another place",
+        "workspace": "the region may be too small or misplaced, or have no walls (region.walls)",
+        "tilt": "raise max_tilt",
+        "excluded": "send fewer poses in `exclude` or a smaller exclude_radius",
+    }
+    worst = max(rejected, key=lambda reason: rejected[reason], default="")
+    return (
+        f"none of {drawn} drawn grasps of {gripper} was kept ({counts}). To do: "
+        f"{advice.get(worst, 'check the region and the cloud')}, or raise the parameter drawn."
+    )

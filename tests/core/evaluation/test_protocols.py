@@ -1,0 +1,131 @@
+"""The protocols with planners whose answers are known."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from megrasp_core.errors import InvalidRequestError
+from megrasp_core.evaluation.ceiling import CeilingPlanner, CeilingSettings
+from megrasp_core.evaluation.object_pool import graspable_objects, load_pool
+from megrasp_core.evaluation.planners import AntipodalPlanner
+from megrasp_core.evaluation.protocols import ProtocolSettings, run_scene
+from megrasp_core.evaluation.report import evaluate
+from megrasp_core.grippers import load_gripper
+from megrasp_core.objects import procedural_object
+from megrasp_core.pointcloud import Cloud
+from megrasp_core.synthesizer import RankedGrasp, Synthesis
+
+
+@pytest.fixture(scope="module")
+def gripper():
+    return load_gripper("robotiq_2f85")
+
+
+@pytest.fixture(scope="module")
+def pool():
+    return [procedural_object(seed, kind="box") for seed in range(8)]
+
+
+class Scripted:
+    """Answers with one fixed pose, or with nothing."""
+
+    name = "scripted"
+
+    def __init__(self, pose: np.ndarray | None) -> None:
+        self.pose, self.asked = pose, []
+
+    def plan(self, cloud, **options):
+        self.asked.append(options)
+        grasps = []
+        if self.pose is not None:
+            back = self.pose.copy()
+            back[:3, 3] -= 0.1 * back[:3, 2]
+            grasps = [RankedGrasp(self.pose, self.pose, back, 0.5, 0.04, 0.01, 0.0, True)]
+        return Synthesis(grasps, {}, {"total": 0.0}, 0, 100, 20, "robotiq_2f85", self.name)
+
+
+def test_empty_answers_end_a_bin_after_three_failures(gripper, pool):
+    settings = ProtocolSettings(scenes=1, graspable=3, obstacles=0)
+    outcome = run_scene(settings, gripper, Scripted(None), pool, range(8), 0)
+    assert [reason for _, reason in outcome.first] == ["no_answer"] * 3
+    assert outcome.answered == 0 and outcome.removed == 0 and outcome.objects == 3
+
+
+def test_a_grasp_in_the_air_fails_and_is_excluded_next_time(gripper, pool):
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[2, 3] = 0.6
+    planner = Scripted(pose)
+    outcome = run_scene(
+        ProtocolSettings(scenes=1, graspable=2, obstacles=1), gripper, planner, pool, range(8), 0
+    )
+    assert [reason for _, reason in outcome.first] == ["no_contact"] * 3
+    assert [len(options["exclude"]) for options in planner.asked] == [0, 1, 2]
+    assert planner.asked[0]["walls"] and planner.asked[0]["region"] is not None
+
+
+def test_antipodal_baseline_lifts_single_boxes(gripper, pool):
+    """Boxes alone on a table are the baseline's home ground."""
+    graspable = graspable_objects(gripper, pool)
+    assert graspable
+    settings = ProtocolSettings(protocol="single", scenes=6, samples=4)
+    result = evaluate(settings, gripper, AntipodalPlanner(gripper), pool, graspable)
+    content = result.to_json()
+    assert content["first"]["trials"] == 6
+    assert content["first"]["successes"] >= 2
+    assert content["unfiltered"]["trials"] > 0
+    assert {"kept_share", "answered_share", "hardware", "config", "drawn", "returned"} <= set(
+        content
+    )
+    json.dumps(content)
+
+
+def test_the_ceiling_names_only_grasps_that_succeed(gripper, pool):
+    settings = ProtocolSettings(scenes=1, graspable=3, obstacles=1)
+    planner = CeilingPlanner(gripper, CeilingSettings(candidates=200, moved=30, rounds=4))
+    outcome = run_scene(settings, gripper, planner, pool, range(8), 0)
+    assert outcome.removed > 0
+    assert {reason for _, reason in outcome.first} <= {"success", "no_answer"}
+
+
+def test_the_ceiling_needs_a_world(gripper):
+    with pytest.raises(InvalidRequestError, match="look_inside first"):
+        CeilingPlanner(gripper).plan(Cloud(np.zeros((1, 3))))
+
+
+def test_ranked_grasps_are_judged_and_the_state_is_restored(gripper, pool):
+    settings = ProtocolSettings(protocol="single", scenes=1, judged=3, drawn=400)
+    judged = run_scene(settings, gripper, AntipodalPlanner(gripper), pool, range(8), 0)
+    plain = dataclasses.replace(settings, judged=0)
+    assert run_scene(plain, gripper, AntipodalPlanner(gripper), pool, range(8), 0).first == (
+        judged.first
+    )
+    assert 0 < len(judged.ranked) <= 3
+    assert judged.ranked[0][1:] == judged.first[0]
+
+
+def test_same_seed_same_run(gripper, pool):
+    settings = ProtocolSettings(scenes=1, graspable=3, obstacles=1, drawn=60)
+    runs = [
+        run_scene(settings, gripper, AntipodalPlanner(gripper), pool, range(8), 4).first
+        for _ in range(2)
+    ]
+    assert runs[0] == runs[1]
+
+
+def test_bad_settings_are_named():
+    with pytest.raises(
+        InvalidRequestError, match=r"'juggling' is unknown.*binpick, declutter, single"
+    ):
+        ProtocolSettings(protocol="juggling")  # type: ignore[arg-type]
+    with pytest.raises(InvalidRequestError, match="scenes 0"):
+        ProtocolSettings(scenes=0)
+
+
+def test_default_pool_is_fixed():
+    first, again = load_pool(None), load_pool(None)
+    assert [m.name for m in first] == [m.name for m in again]
+    assert len({m.mass for m in first}) > 10

@@ -1,0 +1,104 @@
+"""Bins cleared by a network of random weights: the records and the labels, not the success."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from megrasp_core.evaluation.calibration import calibrate, judged_grasps
+from megrasp_core.evaluation.planners import AntipodalPlanner
+from megrasp_core.evaluation.protocols import ProtocolSettings
+from megrasp_core.grippers import load_gripper
+from megrasp_core.network import PRESETS, GraspModel
+from megrasp_core.objects import ObjectSet, procedural_names, procedural_object
+from megrasp_core.pointcloud import SceneSettings
+from megrasp_core.scenes import SceneConfig
+from megrasp_core.self_labelling.rollouts import STAGES, RolloutSettings, label_rollouts
+from megrasp_core.storage import Kind, SceneDataset
+from megrasp_core.synthesizer import GraspSynthesizer
+from megrasp_core.training import SceneSource, TrainConfig, read_entries
+
+OBJECTS = ObjectSet(procedural_names(6))
+SETTINGS = RolloutSettings(
+    judged=2,
+    rejected=2,
+    max_stages=2,
+    drawn=8,
+    scenes=SceneConfig(grippers=(), objects=(2, 3), bin_share=1.0, obstacle_share=1.0),
+)
+
+
+@pytest.fixture(scope="module")
+def synthesizer():
+    torch.manual_seed(0)
+    model = GraspModel(PRESETS["tiny"], model_id="random").eval().requires_grad_(False)
+    return GraspSynthesizer(model, "robotiq_2f85")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, synthesizer):
+    out = tmp_path_factory.mktemp("rollouts")
+    assert label_rollouts(out, synthesizer, OBJECTS, range(3, 5), SETTINGS) >= 2
+    return out
+
+
+def test_every_stage_is_a_scene_with_the_grasps_that_were_tried(folder):
+    dataset = SceneDataset(folder)
+    assert {record.seed // STAGES for record in dataset} == {3, 4}
+    for record in dataset:
+        labels = record.labels["robotiq_2f85"]
+        assert 0 < len(labels) <= 4
+        assert (labels.kind == int(Kind.SAMPLED)).all()
+        assert ((labels.reason == "") == (labels.label == 1)).all()
+        assert (labels.object >= 0).all() and (labels.object < len(record.object_names)).all()
+        assert record.obstacle.any() and len(record.obstacle) == len(record.object_poses)
+        assert record.bin is not None and len(record.points) > 500
+
+
+def test_a_finished_bin_is_not_made_again(folder, synthesizer):
+    assert label_rollouts(folder, synthesizer, OBJECTS, range(3, 5), SETTINGS) == 0
+
+
+def test_the_heads_train_on_stages_without_a_success(folder):
+    config = TrainConfig(
+        network=PRESETS["tiny"], train_only="heads", grippers=("robotiq_2f85",),
+        confidence_poses=10_000,
+    )  # fmt: skip
+    entry = next(iter(read_entries([folder]).values()))
+    table = entry.tables["robotiq_2f85"]
+    nothing = np.zeros(len(table), bool)
+    entry.tables["robotiq_2f85"] = dataclasses.replace(
+        table, good=nothing, target=nothing.astype(np.float32)
+    )
+    source = SceneSource([entry], config, SceneSettings())
+    batch = source.draw(np.random.default_rng(0))
+    assert not batch.positives and len(batch.labelled["robotiq_2f85"]) == len(table)
+
+
+def test_calibration_from_judged_grasps():
+    gripper = load_gripper("robotiq_2f85")
+    pool = [procedural_object(seed, kind="box") for seed in range(6)]
+    settings = ProtocolSettings(scenes=2, graspable=3, obstacles=0, judged=4, drawn=300)
+    judged = judged_grasps(settings, gripper, AntipodalPlanner(gripper), pool, range(6))
+    assert len(judged.success) == len(judged.features) > 0
+    # The baseline has no confidence: one is put in that tells the verdict with some noise.
+    rng = np.random.default_rng(0)
+    repeats = 40
+    success = rng.random(len(judged.success) * repeats) < 0.5
+    features = np.repeat(judged.features, repeats, axis=0)
+    features[:, 0] = np.where(success, 1.0, -1.0) + rng.normal(size=len(success))
+    told = dataclasses.replace(
+        judged,
+        scene=np.arange(len(success)) % 10,
+        features=features,
+        confidence=1 / (1 + np.exp(-features[:, 0])),
+        success=success,
+    )
+    calibration, report = calibrate([told])
+    assert calibration.confidence == pytest.approx(2.0, abs=0.4)
+    assert report["held_out"]["log_loss"] < report["confidence"]["log_loss"]
+    assert report["grippers"]["robotiq_2f85"]["judged"] == len(success)
+    assert sum(row["count"] for row in report["reliability"]) == len(success)

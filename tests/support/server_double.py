@@ -1,0 +1,106 @@
+"""The real node grasp_server with a test double in place of the synthesizer.
+
+The parameter `model` says how the double behaves: `quick` and `slow` return grasps above the
+cloud's centre, `none` finds nothing, `memory` runs out of memory, `broken` fails, `damaged` cannot
+be loaded.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from types import SimpleNamespace
+
+import numpy as np
+
+from megrasp_core.errors import CancelledError, ModelError
+from megrasp_core.grippers import load_gripper
+from megrasp_ros.server.grasp_server import main
+
+STEPS = 20
+SLOW_STEP = 0.25
+
+
+class DoubleSynthesizer:
+    """Answers like megrasp_core.synthesizer.GraspSynthesizer, without a network."""
+
+    def __init__(self, behaviour: str) -> None:
+        trained = {"robotiq_2f85": load_gripper("robotiq_2f85").hash}
+        self.model = SimpleNamespace(model_id=behaviour, info={"trained_grippers": trained})
+        self.behaviour = behaviour
+        self.gripper = None
+        self.threads: set[int] = set()
+
+    def set_gripper(self, gripper) -> None:
+        self.gripper = gripper
+
+    def synthesize(
+        self, cloud, *, num_grasps, drawn, seed, on_step, cancelled, exclude, **options
+    ):
+        self.threads.add(threading.get_ident())
+        assert len(self.threads) == 1, "the synthesizer belongs to one thread"
+        for step in range(STEPS):
+            if cancelled():
+                raise CancelledError("stopped")
+            time.sleep(SLOW_STEP if self.behaviour == "slow" else 0.0)
+            on_step("sample", step + 1, STEPS)
+        on_step("rank", 1, 1)
+        if self.behaviour == "memory":
+            raise MemoryError("no room for 3 poses")
+        if self.behaviour == "broken":
+            raise KeyError("a bug")
+        rng = np.random.default_rng(seed)
+        # Above the centre of what stands out, so that it is known where the grasps have to be.
+        down = np.asarray(options["gravity"])
+        height = -cloud.points @ down
+        centre = cloud.points[height > height.max() - 0.02].mean(axis=0)
+        grasps = []
+        for rank in range(0 if self.behaviour == "none" else num_grasps):
+            tcp = np.eye(4)
+            tcp[:3, :3] = _turned_to(down) @ _about_z(rng.uniform(0, np.pi))
+            tcp[:3, 3] = centre
+            gripper = tcp @ np.linalg.inv(self.gripper.gripper_from_tcp)
+            approach = gripper.copy()
+            approach[:3, 3] -= options["approach_distance"] * gripper[:3, 2]
+            grasps.append(
+                SimpleNamespace(
+                    world_from_tcp=tcp,
+                    world_from_gripper=gripper,
+                    world_from_gripper_approach=approach,
+                    score=0.9 - 0.01 * rank,
+                    width=0.03,
+                    clearance=0.01,
+                    tilt=0.0,
+                    collision_free=True,
+                )
+            )
+        return SimpleNamespace(
+            grasps=grasps,
+            rejected={"collision": drawn - len(grasps), "tilt": 0},
+            timing={"perceive": 0.01, "encode": 0.02, "sample": 0.03, "rank": 0.04, "total": 0.1},
+            seed=seed,
+            drawn=drawn,
+        )
+
+
+def _turned_to(direction: np.ndarray) -> np.ndarray:
+    x = np.cross([0.0, 1.0, 0.3], direction)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(direction, x), direction], axis=1)
+
+
+def _about_z(angle: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+
+def make(model: str | None, device: str, threads: int | None) -> DoubleSynthesizer:
+    if model == "damaged":
+        raise ModelError(
+            "model.safetensors of 'damaged' does not fit; expected a model folder. Set `model`."
+        )
+    return DoubleSynthesizer(model or "quick")
+
+
+if __name__ == "__main__":
+    main(factory=make)
