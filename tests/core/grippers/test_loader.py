@@ -22,7 +22,7 @@ def test_hidden_outlines_are_left_out(tmp_path: Path, group: int, kept: int) -> 
     """A geom that touches nothing is part of the surface only where a viewer would show it."""
     outline = f'<geom size="0.2 0.2 0.2" contype="0" conaffinity="0" mass="0" group="{group}"/>'
     gripper = pair(tmp_path, outline)
-    widest = max(float(np.abs(mesh.vertices).max()) for mesh in gripper.body_meshes())
+    widest = max(float(np.abs(one.mesh.vertices).max()) for one in gripper.body_meshes())
     assert widest == pytest.approx(0.2 if kept else 0.05)
     assert len(gripper.body_meshes("collision")) == 3
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 import subprocess
 import sys
 
-import fpsample
 import numpy as np
 import pytest
 import trimesh
 from gripper_cases import OWN_JAWS
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from megrasp_core.grippers import Gripper, Mesh, load_gripper, render, render_cloud
-from megrasp_core.grippers.render import SurfaceSample, draw, farthest, visible
+from megrasp_core.grippers import Gripper, load_gripper, render, render_cloud
+from megrasp_core.grippers.render import visible
+from megrasp_core.meshes import Mesh, SurfaceSample, sample_stratified
 
 RADIUS = 0.05
 EXTENTS = np.array([0.10, 0.06, 0.04])
@@ -24,7 +24,7 @@ COUNT = 256
 
 def arrays(mesh: trimesh.Trimesh) -> Mesh:
     """Vertices and faces of a mesh."""
-    return np.array(mesh.vertices), np.array(mesh.faces, np.int64)
+    return Mesh(np.array(mesh.vertices), np.array(mesh.faces, np.int64))
 
 
 def sphere(radius: float = RADIUS) -> Mesh:
@@ -40,18 +40,18 @@ def box(extents: NDArray[np.float64] = EXTENTS) -> Mesh:
 def without_lid(mesh: Mesh) -> Mesh:
     """The box without its face towards +Z."""
     vertices, faces = mesh
-    return vertices, faces[vertices[faces][:, :, 2].min(axis=1) < 0.0]
+    return Mesh(vertices, faces[vertices[faces][:, :, 2].min(axis=1) < 0.0])
 
 
 def flipped(mesh: Mesh) -> Mesh:
     """The mesh with all triangles wound the other way round."""
-    return mesh[0], mesh[1][:, ::-1]
+    return Mesh(mesh.vertices, mesh.faces[:, ::-1])
 
 
 def partly_flipped(mesh: Mesh, share: float, seed: int) -> Mesh:
     """The mesh with a random share of its triangles wound the other way round."""
-    turned = np.random.default_rng(seed).random(len(mesh[1])) < share
-    return mesh[0], np.where(turned[:, None], mesh[1][:, ::-1], mesh[1])
+    turned = np.random.default_rng(seed).random(len(mesh.faces)) < share
+    return Mesh(mesh.vertices, np.where(turned[:, None], mesh.faces[:, ::-1], mesh.faces))
 
 
 def outward_on_box(sample: SurfaceSample, extents: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -86,7 +86,7 @@ def test_damaged_ball(
         empty = np.repeat(faces[:9, :1], 3, axis=1)
         line = np.stack([faces[:9, 0], faces[:9, 1], faces[:9, 0]], axis=1)
         faces = np.concatenate([empty, faces, line, empty])
-    sample = render_cloud([(vertices, faces)], COUNT, seed)
+    sample = render_cloud([Mesh(vertices, faces)], COUNT, seed)
     assert sample.points.shape == sample.normals.shape == (COUNT, 3)
     np.testing.assert_allclose(np.linalg.norm(sample.normals, axis=1), 1.0, atol=1e-9)
     distance = np.linalg.norm(sample.points, axis=1)
@@ -127,7 +127,8 @@ def test_sheet() -> None:
     """A surface without thickness is seen, its normals stay as they are wound."""
     corners = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]], np.float64)
     faces = np.array([[0, 1, 2], [0, 2, 3]])
-    for sheet, up in (((corners, faces), 1.0), ((corners, faces[:, ::-1]), -1.0)):
+    for wound, up in ((faces, 1.0), (faces[:, ::-1], -1.0)):
+        sheet = Mesh(corners, wound)
         np.testing.assert_array_equal(render_cloud([sheet], COUNT, 0).normals[:, 2], up)
 
 
@@ -139,7 +140,7 @@ def test_parts_inside_others_are_hidden(share: float) -> None:
     hidden = render_cloud([case, ball], COUNT, 0)
     assert (hidden.mesh == 0).all()
     assert (outward_on_box(hidden, EXTENTS) > 0.99).all()
-    shifted = ball[0] + [0.0, 0.0, EXTENTS[2] / 2.0], ball[1]
+    shifted = Mesh(ball.vertices + [0.0, 0.0, EXTENTS[2] / 2.0], ball.faces)
     half = render_cloud([case, shifted], 4 * COUNT, 0)
     dome = half.points[half.mesh == 1]
     assert len(dome) > 50
@@ -151,18 +152,18 @@ def test_what_cannot_be_rendered(monkeypatch: pytest.MonkeyPatch) -> None:
     corners = np.zeros((3, 3))
     for vertices in (corners, np.full((3, 3), np.nan)):
         with pytest.raises(ValueError, match=r"1 triangles of (0\.0|nan) m2"):
-            render_cloud([(vertices, np.array([[0, 1, 2]]))], 16, 0)
+            render_cloud([Mesh(vertices, np.array([[0, 1, 2]]))], 16, 0)
     with pytest.raises(ValueError, match="0 triangles"):
         render_cloud([], 16, 0)
     monkeypatch.setattr(render, "HOPELESS", 20)
-    buried = [(vertices * 0.9, faces) for vertices, faces in [box()] * 60]
+    buried = [Mesh(0.9 * box().vertices, box().faces)] * 60
     with pytest.raises(ValueError, match="can be seen from outside and 64 are needed"):
         render_cloud([box(), *buried], 64, 0)
 
 
 def test_much_that_is_hidden_takes_longer_only() -> None:
     """A box full of boxes: points enough, all on the outer one."""
-    buried = [(vertices * 0.9, faces) for vertices, faces in [box()] * 60]
+    buried = [Mesh(0.9 * box().vertices, box().faces)] * 60
     sample = render_cloud([box(), *buried], 128, 0)
     assert len(np.unique(sample.points, axis=0)) == 128
     assert (sample.mesh == 0).all()
@@ -182,44 +183,6 @@ def test_every_process_renders_the_same() -> None:
     clouds = load_gripper("franka_hand").clouds(300, seed=4)
     here = b"".join(array.tobytes() for array in vars(clouds).values())
     assert bytes.fromhex(there.decode()) == here
-
-
-@settings(max_examples=30, deadline=None)
-@given(total=st.integers(2, 900), share=st.floats(0.01, 1.0), seed=st.integers(0, 2**16))
-@example(total=2, share=1.0, seed=1)
-@example(total=521, share=1.0, seed=949)
-def test_each_point_is_the_farthest_from_those_before(total: int, share: float, seed: int) -> None:
-    """The first one from the mean; to a micrometre, as the sampler keeps distances in float32 and
-    equally far ones may come in either order.
-    """
-    rng = np.random.default_rng(seed)
-    points = rng.normal(size=(total, 3)) * [0.1, 0.05, 0.02] + rng.normal(size=3)
-    count = max(1, int(share * total))
-    chosen = farthest(points, count)
-    assert len(np.unique(chosen)) == count
-    distance = np.linalg.norm(points - points.mean(axis=0), axis=1)
-    assert distance[chosen[0]] == pytest.approx(distance.max(), rel=1e-12)
-    distance = np.linalg.norm(points - points[chosen[0]], axis=1)
-    for index in chosen[1:]:
-        assert distance[index] >= distance.max() - 1e-6
-        distance = np.minimum(distance, np.linalg.norm(points - points[index], axis=1))
-
-
-def test_farthest_points_come_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The plain sampler is the fallback only."""
-    monkeypatch.setattr(fpsample, "fps_sampling", None)
-    for seed in range(20):
-        points = np.random.default_rng(seed).uniform(size=(2700, 3)) * [0.2, 0.1, 0.05]
-        assert len(np.unique(farthest(points, 1024))) == 1024
-
-
-def test_farthest_points_where_many_coincide() -> None:
-    """Never the point that only the sampler has."""
-    points = np.repeat(np.random.default_rng(0).normal(size=(7, 3)), 20, axis=0)
-    chosen = farthest(points, 100)
-    assert len(chosen) == 100
-    assert chosen.min() >= 0
-    assert len(np.unique(points[chosen], axis=0)) == 7
 
 
 @pytest.fixture(scope="module", params=OWN_JAWS)
@@ -257,7 +220,7 @@ def test_inverted_gripper_looks_the_same(gripper: Gripper, posture: str) -> None
     Next to edges the two sides of a surface cannot always be told apart.
     """
     meshes = gripper.meshes(posture)
-    drawn = draw(meshes, 2000, 0)
+    drawn = sample_stratified(meshes, 2000, 0)
     right = visible(meshes, drawn)
     inverted = SurfaceSample(drawn.points, -drawn.normals, drawn.mesh)
     turned = visible([flipped(mesh) for mesh in meshes], inverted)

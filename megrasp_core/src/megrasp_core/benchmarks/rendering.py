@@ -71,7 +71,7 @@ def bench_rendering(
             write_gripper(Path(folder), *sample_gripper(seed)) for seed in range(1, 1 + procedural)
         )
         for gripper in map(load_gripper, (*names, *drawn)):
-            triangles = sum(len(mesh.faces) for mesh in gripper.body_meshes())
+            triangles = sum(len(one.mesh.faces) for one in gripper.body_meshes())
             postures = gripper.qpos("open"), gripper.qpos("closed")
             measure(gripper.name, triangles, partial(_render, gripper.model, *postures))
     ring = _ring()

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import NDArray
 
-from megrasp_core.grippers import Gripper, Mesh, body_poses, raycasting_scene
+from megrasp_core.grippers import Gripper, body_poses
 from megrasp_core.grippers.geometry import posed
+from megrasp_core.meshes import Mesh, RayScene
 
 __all__ = ["STILL", "ClosingMotion", "closing_motion", "pad_paths"]
 
@@ -74,9 +74,7 @@ def pad_paths(gripper: Gripper, motion: ClosingMotion) -> list[NDArray[np.float6
             if not own or int(body) in parents:
                 continue
             local = np.linalg.inv(motion.poses[0, body]) @ np.append(gripper.tcp, 1.0)
-            scene = raycasting_scene([(mesh.vertices, mesh.faces) for mesh in own])
-            query = o3d.core.Tensor.from_numpy(local[None, :3].astype(np.float32))
-            point = scene.compute_closest_points(query)["points"].numpy()[0].astype(np.float64)
+            point = RayScene([one.mesh for one in own]).nearest(local[None, :3])[0]
             path = motion.poses[:, body, :3, :3] @ point + motion.poses[:, body, :3, 3]
             slope = abs(path[0, 2] - gripper.tcp[2]) / max(
                 float(np.linalg.norm(point - local[:3])), STILL

@@ -7,11 +7,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from megrasp_core.grippers import GripperClouds, Mesh, raycasting_scene
+from megrasp_core.grippers import GripperClouds
+from megrasp_core.meshes import Mesh, RayScene
 
 from .closing_motion import STILL, ClosingMotion
 from .splat import View
@@ -127,12 +127,10 @@ def _depths(meshes: Sequence[Mesh], view: View) -> tuple[NDArray[np.float64], ND
     right, down, forward = view.rotation
     start = view.centre - STAND_OFF * forward + u[None, :, None] * right + v[:, None, None] * down
     rays = np.concatenate([start, np.broadcast_to(forward, start.shape)], axis=-1)
-    hits = raycasting_scene(meshes).cast_rays(
-        o3d.core.Tensor.from_numpy(np.ascontiguousarray(rays, np.float32))
-    )
-    normals = hits["primitive_normals"].numpy().astype(np.float64)
+    hits = RayScene(meshes).cast(rays)
+    normals = hits.normals.astype(np.float64)
     normals *= -np.sign(normals @ forward)[..., None]
-    return hits["t_hit"].numpy().astype(np.float64), normals
+    return hits.distance.astype(np.float64), normals
 
 
 def _light(normals: NDArray[np.float64], view: View) -> NDArray[np.float64]:

@@ -151,7 +151,7 @@ def draw_grasp(
     gripper's approach downwards, from the side that shows more of the object.
     """
     gripper_from_object = gripper.gripper_from_tcp @ np.linalg.inv(object_from_tcp)
-    vertices = model.vertices @ gripper_from_object[:3, :3].T + gripper_from_object[:3, 3]
+    mesh = model.mesh.moved(gripper_from_object)
     cloud = gripper.clouds().open_points
     near = cloud[np.linalg.norm(cloud - gripper.tcp, axis=1) < SHOWN]
     meshes = gripper.meshes("open")
@@ -159,10 +159,10 @@ def draw_grasp(
     paint = 0.35 + 0.65 * np.asarray(model.colour)
     best, most = np.zeros(0), -1
     for look in LOOKS:
-        view = _view(look, np.concatenate([vertices, near]))
+        view = _view(look, np.concatenate([mesh.vertices, near]))
         step = SLANT / view.scale
         image, hand = solid(meshes, view, OPEN, step)
-        colour, thing = solid([(vertices, model.faces.astype(np.int64))], view, paint, step)
+        colour, thing = solid([mesh], view, paint, step)
         image[~np.isfinite(hand)] = 1.0
         front = np.isfinite(thing) & (thing <= hand)
         image[front] = colour[front]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
+
+from megrasp_core.meshes import Mesh, joined, sample_uniform
 
 __all__ = ["Canvas", "View", "height_colours", "look_along", "segment_points", "surface_samples"]
 
@@ -145,20 +148,11 @@ class Canvas:
         return (self.colour * 255.0 + 0.5).astype(np.uint8)
 
 
-def surface_samples(
-    meshes: list[tuple[np.ndarray, np.ndarray]], spacing: float, seed: int = 0
-) -> np.ndarray:
+def surface_samples(meshes: Sequence[Mesh], spacing: float, seed: int = 0) -> np.ndarray:
     """Points (N, 3) on triangle meshes, about one per square of this spacing (m)."""
-    triangles = np.concatenate([vertices[faces] for vertices, faces in meshes])
-    edges = triangles[:, 1:] - triangles[:, :1]
-    area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / 2
-    count = int(np.clip(2.0 * area.sum() / spacing**2, 100, 400_000))
-    rng = np.random.default_rng(seed)
-    chosen = rng.choice(len(area), size=count, p=area / area.sum())
-    u, v = rng.random((2, count, 1))
-    fold = u + v > 1
-    u, v = np.where(fold, 1 - u, u), np.where(fold, 1 - v, v)
-    return triangles[chosen, 0] + u * edges[chosen, 0] + v * edges[chosen, 1]
+    mesh = joined(meshes)
+    count = int(np.clip(2.0 * mesh.area / spacing**2, 100, 400_000))
+    return sample_uniform(mesh, count, np.random.default_rng(seed))[0]
 
 
 def segment_points(start: np.ndarray, end: np.ndarray, spacing: float) -> np.ndarray:

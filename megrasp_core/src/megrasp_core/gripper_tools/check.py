@@ -8,10 +8,11 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import open3d as o3d
 
 from megrasp_core.errors import DescriptionError
-from megrasp_core.grippers import POSTURES, Gripper, quiet_mujoco, raycasting_scene
+from megrasp_core.grippers import POSTURES, Gripper, quiet_mujoco
+from megrasp_core.grippers.geometry import posed
+from megrasp_core.meshes import RayScene
 
 from .compare import PAD_HALF_HEIGHT, opening, pad_displacement
 from .symmetry import WARNING_RESIDUAL, symmetry_residual
@@ -125,12 +126,7 @@ def _palm_is_behind(gripper: Gripper, result: GripperCheck) -> bool:
     poses = gripper.body_poses("open")
     ray = np.array([[*gripper.tcp, 0.0, 0.0, 1.0]], np.float32)
     for mesh in palm:
-        vertices = mesh.vertices @ poses[mesh.body, :3, :3].T + poses[mesh.body, :3, 3]
-        hit = (
-            raycasting_scene([(vertices, mesh.faces)])
-            .cast_rays(o3d.core.Tensor.from_numpy(ray))["t_hit"]
-            .numpy()[0]
-        )
+        hit = RayScene(posed([mesh], poses)).cast(ray).distance[0]
         if np.isfinite(hit) and hit > PALM_OVERLAP:
             result.errors.append(
                 f"the palm (link '{gripper.model.body(mesh.body).name}') lies in front of the "

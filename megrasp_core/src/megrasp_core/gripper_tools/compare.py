@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from megrasp_core.grippers import POSTURES, Gripper, Mesh, raycasting_scene
+from megrasp_core.grippers import POSTURES, Gripper
 from megrasp_core.grippers.geometry import posed
-from megrasp_core.grippers.render import draw, visible
+from megrasp_core.grippers.render import visible
+from megrasp_core.meshes import Mesh, RayScene, sample_stratified, sample_uniform
 
 PAD_HALF_HEIGHT = 0.015
 PAD_DEPTH = 0.010
@@ -59,19 +59,14 @@ def outer_points(meshes: Sequence[Mesh], count: int, seed: int) -> NDArray[np.fl
     """
     seen = np.zeros((0, 3))
     while len(seen) < count:
-        more = visible(meshes, draw(meshes, 2 * count, seed + len(seen)))
+        more = visible(meshes, sample_stratified(meshes, 2 * count, seed + len(seen)))
         seen = np.concatenate([seen, more.points])
     return seen[np.random.default_rng(seed).choice(len(seen), count, replace=False)]
 
 
 def surface_distance(points: NDArray[np.float64], meshes: Sequence[Mesh]) -> NDArray[np.float64]:
     """Return the distance (N,) of points (N, 3) to the nearest triangle of the meshes."""
-    scene = raycasting_scene(meshes)
-    return (
-        scene.compute_distance(o3d.core.Tensor.from_numpy(points.astype(np.float32)))
-        .numpy()
-        .astype(np.float64)
-    )
+    return RayScene(meshes).distance(points)
 
 
 def opening(gripper: Gripper, posture: str = "open") -> float:
@@ -96,10 +91,7 @@ def opening(gripper: Gripper, posture: str = "open") -> float:
         if not meshes:
             return float("nan")
         rays = np.concatenate([grid, np.tile([sign, 0.0, 0.0], (len(grid), 1))], axis=1)
-        hits = raycasting_scene(posed(meshes, poses)).cast_rays(
-            o3d.core.Tensor.from_numpy(rays.astype(np.float32))
-        )
-        total += hits["t_hit"].numpy().astype(np.float64)
+        total += RayScene(posed(meshes, poses)).cast(rays).distance.astype(np.float64)
     finite = total[np.isfinite(total)]
     return float(finite.min()) if len(finite) else float("nan")
 
@@ -150,15 +142,9 @@ def _group_motion(
     before, after = gripper.body_poses("open"), gripper.body_poses("closed")
     rng = np.random.default_rng(0)
     starts, ends = [], []
-    for mesh in meshes:
-        corner = mesh.vertices[mesh.faces]
-        area = np.linalg.norm(
-            np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1
-        )
-        chosen = rng.choice(len(area), count, p=area / area.sum())
-        weight = rng.dirichlet(np.ones(3), count)
-        points = np.einsum("nk,nki->ni", weight, corner[chosen])
-        starts.append(points @ before[mesh.body, :3, :3].T + before[mesh.body, :3, 3])
-        ends.append(points @ after[mesh.body, :3, :3].T + after[mesh.body, :3, 3])
+    for part in meshes:
+        points, _ = sample_uniform(part.mesh, count, rng)
+        starts.append(points @ before[part.body, :3, :3].T + before[part.body, :3, 3])
+        ends.append(points @ after[part.body, :3, :3].T + after[part.body, :3, 3])
     start = np.concatenate(starts)
     return start, np.concatenate(ends) - start

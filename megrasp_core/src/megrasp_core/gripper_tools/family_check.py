@@ -186,7 +186,7 @@ def _room_below(gripper: Gripper) -> float:
     """Height of the TCP over the highest point of what does not move (m)."""
     poses = gripper.body_poses("open")
     top = max(
-        float((m.vertices @ poses[m.body, :3, :3].T + poses[m.body, :3, 3])[:, 2].max())
+        float(m.mesh.moved(poses[m.body]).vertices[:, 2].max())
         for m in gripper.body_meshes("collision")
         if gripper.finger_groups[m.body] < 0
     )

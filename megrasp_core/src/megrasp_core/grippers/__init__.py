@@ -32,7 +32,7 @@ from .model_file import MODEL_SUFFIXES, read_xml
 from .model_mistakes import check_spec
 from .posture import SETTLE_DAMPING
 from .registry import cad_folders, cad_twins, gripper_folders, list_grippers, load_gripper
-from .render import Mesh, raycasting_scene, render_cloud
+from .render import render_cloud
 
 __all__ = [
     "Actuation",
@@ -46,7 +46,6 @@ __all__ = [
     "GripperTokens",
     "KINDS",
     "MODEL_SUFFIXES",
-    "Mesh",
     "NEAR_TCP",
     "POSTURES",
     "Pose",
@@ -74,7 +73,6 @@ __all__ = [
     "procedural_gripper_name",
     "procedural_rack",
     "quiet_mujoco",
-    "raycasting_scene",
     "read_xml",
     "render_cloud",
     "sample_gripper",

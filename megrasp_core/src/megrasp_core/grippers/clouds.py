@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from megrasp_core.meshes import Mesh, SurfaceSample, farthest_points, sample_stratified, thinned
+
 from .geometry import BodyMesh, posed
-from .render import Mesh, SurfaceSample, draw, farthest, render_cloud, visible
-from .thinning import thinned
+from .render import render_cloud, visible
 
 NEAR_TCP = 0.08
 # A wide gripper may open beyond 8 cm: then up to 1.5 times the nearest point counts as near.
@@ -59,8 +60,8 @@ def make_clouds(
 ) -> GripperClouds:
     """Render both postures from visual meshes; poses are gripper_from_body (nbody, 4, 4)."""
     bodies = np.array([mesh.body for mesh in meshes])
-    light = thinned([(mesh.vertices, mesh.faces) for mesh in meshes])
-    meshes = [BodyMesh(mesh.body, *thin) for mesh, thin in zip(meshes, light, strict=True)]
+    light = thinned([one.mesh for one in meshes])
+    meshes = [BodyMesh(one.body, thin) for one, thin in zip(meshes, light, strict=True)]
     first = render_cloud(posed(meshes, open_poses), count, seed)
     second = render_cloud(posed(meshes, closed_poses), count, seed)
     return GripperClouds(
@@ -92,21 +93,13 @@ def surface_points(meshes: Sequence[Mesh], spacing: float, seed: int = 0) -> Sur
     """Return outer surface points about `spacing` apart: dense draw, outside only, one point a
     voxel.
     """
-    area = sum(
-        float(
-            np.linalg.norm(
-                np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]]), axis=1
-            ).sum()
-        )
-        / 2.0
-        for v, f in meshes
-    )
+    area = sum(mesh.area for mesh in meshes)
     drawn = max(64, int(3.0 * area / spacing**2))
-    sample = visible(meshes, draw(meshes, drawn, seed))
+    sample = visible(meshes, sample_stratified(meshes, drawn, seed))
     cells = np.floor(sample.points / spacing).astype(np.int64)
     _, first = np.unique(cells, axis=0, return_index=True)
     first.sort()
-    return SurfaceSample(sample.points[first], sample.normals[first], sample.mesh[first])
+    return sample.part(first)
 
 
 def _moved(
@@ -127,6 +120,6 @@ def _near_and_far(points: NDArray[np.float64], count: int) -> NDArray[np.int64]:
     distance = np.linalg.norm(points, axis=1)
     near = np.flatnonzero(distance <= max(NEAR_TCP, WIDE_SHARE * float(distance.min())))
     wanted = min(count // 2, len(near))
-    chosen = near[farthest(points[near], wanted)] if wanted else np.zeros(0, np.int64)
+    chosen = near[farthest_points(points[near], wanted)] if wanted else np.zeros(0, np.int64)
     rest = np.setdiff1d(np.arange(len(points)), chosen)
-    return np.concatenate([chosen, rest[farthest(points[rest], count - wanted)]])
+    return np.concatenate([chosen, rest[farthest_points(points[rest], count - wanted)]])

@@ -11,8 +11,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from megrasp_core.meshes import Mesh
+
 from .model import COLLISION_GROUP, VISUAL_GROUP
-from .render import Mesh
 
 SECTIONS = 24
 GEOMETRY = (
@@ -23,13 +24,10 @@ GEOMETRY = (
 
 @dataclass(frozen=True)
 class BodyMesh:
-    """Mesh of one geom in the frame of its body: vertices (V, 3) in metres, faces (F, 3), the
-    body's id.
-    """
+    """Mesh of one geom in the frame of its body, and the body's id."""
 
     body: int
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
+    mesh: Mesh
 
 
 def body_meshes(model: mujoco.MjModel, which: str) -> list[BodyMesh]:
@@ -42,12 +40,11 @@ def body_meshes(model: mujoco.MjModel, which: str) -> list[BodyMesh]:
         mesh = _geom_mesh(model, int(index), hull=which == "collision")
         if mesh is None:
             continue
-        vertices, faces = mesh
         rotation = np.zeros(9)
         mujoco.mju_quat2Mat(rotation, model.geom_quat[index])
-        vertices = vertices @ rotation.reshape(3, 3).T
-        vertices += model.geom_pos[index]
-        out.append(BodyMesh(int(model.geom_bodyid[index]), vertices, faces))
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = rotation.reshape(3, 3), model.geom_pos[index]
+        out.append(BodyMesh(int(model.geom_bodyid[index]), mesh.moved(pose)))
     return out
 
 
@@ -65,8 +62,8 @@ def body_poses(model: mujoco.MjModel, qpos: NDArray[np.float64]) -> NDArray[np.f
 
 
 def posed(meshes: Sequence[BodyMesh], poses: NDArray[np.float64]) -> list[Mesh]:
-    """Return (vertices (V, 3), faces (F, 3)) of every mesh in the gripper frame."""
-    return [(m.vertices @ poses[m.body, :3, :3].T + poses[m.body, :3, 3], m.faces) for m in meshes]
+    """Return every mesh in the gripper frame."""
+    return [one.mesh.moved(poses[one.body]) for one in meshes]
 
 
 def geometry_arrays(model: mujoco.MjModel) -> list[NDArray]:
@@ -93,7 +90,7 @@ def _geom_mesh(model: mujoco.MjModel, index: int, hull: bool) -> Mesh | None:
     if scale is None:
         return None
     vertices, faces = _unit_mesh(kind)
-    return vertices * scale, faces
+    return Mesh(vertices * scale, faces)
 
 
 @lru_cache
@@ -105,14 +102,14 @@ def _unit_mesh(kind: mujoco.mjtGeom) -> Mesh:
         mesh = trimesh.creation.cylinder(radius=1.0, height=2.0, sections=SECTIONS)
     else:
         mesh = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
-    return np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int64)
+    return Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int64))
 
 
 @lru_cache(maxsize=256)
 def _capsule(radius: float, half: float) -> Mesh:
     mesh = trimesh.creation.capsule(height=2.0 * half, radius=radius, count=[SECTIONS, SECTIONS])
     mesh.apply_translation(-mesh.bounds.mean(axis=0))
-    return np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int64)
+    return Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int64))
 
 
 def _asset_mesh(model: mujoco.MjModel, mesh: int, hull: bool) -> Mesh:
@@ -120,6 +117,6 @@ def _asset_mesh(model: mujoco.MjModel, mesh: int, hull: bool) -> Mesh:
     vertices = model.mesh_vert[first : first + count].astype(np.float64)
     if hull:
         convex = trimesh.Trimesh(vertices).convex_hull
-        return np.asarray(convex.vertices), np.asarray(convex.faces, np.int64)
+        return Mesh(np.asarray(convex.vertices), np.asarray(convex.faces, np.int64))
     start, number = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
-    return vertices, model.mesh_face[start : start + number].astype(np.int64)
+    return Mesh(vertices, model.mesh_face[start : start + number].astype(np.int64))

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import NDArray
+
+from megrasp_core.meshes import RayScene, sample_uniform
 
 from .finger_span import FingerSpan, hand_span
 
@@ -81,35 +82,17 @@ class ObjectSurface:
     """Even points and through-rays on an object's visual mesh; build it once per object."""
 
     def __init__(self, model: ObjectModel) -> None:
-        self.vertices = np.ascontiguousarray(model.vertices, np.float64)
-        self.faces = np.ascontiguousarray(model.faces, np.int64)
-        corners = self.vertices[self.faces]
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        double_area = np.linalg.norm(cross, axis=1)
-        self.normals = cross / np.maximum(double_area, 1e-15)[:, None]
-        self._cumulative = np.cumsum(double_area)
-        self._corners = corners
-        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-        self._scene.add_triangles(
-            o3d.core.Tensor.from_numpy(np.asarray(self.vertices, dtype=np.float32)),
-            o3d.core.Tensor.from_numpy(np.asarray(self.faces, dtype=np.uint32)),
-        )
+        self.mesh = model.mesh
+        cross = self.mesh.crosses()
+        self.normals = cross / np.maximum(np.linalg.norm(cross, axis=1), 1e-15)[:, None]
+        self._scene = RayScene([self.mesh])
 
     def sample(
         self, count: int, rng: np.random.Generator
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Points (count, 3), uniform over the area, and their face normals (count, 3)."""
-        face = np.searchsorted(self._cumulative, rng.random(count) * self._cumulative[-1])
-        face = np.minimum(face, len(self.faces) - 1)
-        a, b = rng.random(count), rng.random(count)
-        a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
-        corner = self._corners[face]
-        points = (
-            corner[:, 0]
-            + a[:, None] * (corner[:, 1] - corner[:, 0])
-            + b[:, None] * (corner[:, 2] - corner[:, 0])
-        )
-        return points, self.normals[face]
+        points, triangle = sample_uniform(self.mesh, count, rng)
+        return points, self.normals[triangle]
 
     def crossings(
         self, origins: NDArray[np.float64], directions: NDArray[np.float64]
@@ -117,13 +100,8 @@ class ObjectSurface:
         """Every crossing of the rays with the mesh: ray index (k,), distance (k,), face normal (k,
         3).
         """
-        rays = np.hstack([origins, directions]).astype(np.float32)
-        hits = self._scene.list_intersections(o3d.core.Tensor.from_numpy(rays), nthreads=1)
-        return (
-            hits["ray_ids"].numpy().astype(np.int64),
-            hits["t_hit"].numpy().astype(np.float64),
-            self.normals[hits["primitive_ids"].numpy().astype(np.int64)],
-        )
+        ray, distance, triangle = self._scene.crossings(np.hstack([origins, directions]))
+        return ray, distance, self.normals[triangle]
 
 
 def opposing_pairs(

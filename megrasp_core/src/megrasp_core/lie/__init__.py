@@ -1,16 +1,10 @@
 """Lie groups of grasp poses: SO(3), SE(3), Wigner D matrices, isotropic Gaussians on SO(3)."""
 
-from . import igso3, pose, se3, so3, wigner
 from .pose import matrix_from_pose7, pose7_from_matrix
 from .precision import full_precision
 from .wigner import irreps_dim, rotate, wigner_d, wigner_matrices
 
 __all__ = [
-    "igso3",
-    "pose",
-    "se3",
-    "so3",
-    "wigner",
     "full_precision",
     "irreps_dim",
     "matrix_from_pose7",

@@ -16,7 +16,8 @@ import torch
 from torch import Tensor
 
 from megrasp_core.errors import InvalidRequestError
-from megrasp_core.pointcloud import SceneNodes, farthest_points, neighbours
+from megrasp_core.meshes import farthest_points
+from megrasp_core.pointcloud import SceneNodes, neighbours
 
 from .config import ModelConfig
 

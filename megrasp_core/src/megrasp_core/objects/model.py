@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from megrasp_core.errors import ObjectError
+from megrasp_core.meshes import Mesh
 
 FloatArray = NDArray[np.float64]
 FaceArray = NDArray[np.int32]
@@ -77,6 +78,11 @@ class ObjectModel:
             ("inertia", inertia),
         ):
             object.__setattr__(self, field, value)
+
+    @property
+    def mesh(self) -> Mesh:
+        """The visual surface."""
+        return Mesh(self.vertices, self.faces)
 
     @property
     def bounds(self) -> FloatArray:

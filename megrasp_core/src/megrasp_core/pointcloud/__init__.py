@@ -5,7 +5,6 @@ from .cloud import Cloud
 from .io import read_cloud, write_cloud
 from .knn import estimate_normals, neighbours, remove_outliers
 from .plane import Plane, PlaneSettings, support_plane
-from .sampling import farthest_from_centroid, farthest_points
 from .scene import (
     SceneNodes,
     SceneSettings,
@@ -32,8 +31,6 @@ __all__ = [
     "VoxelGroups",
     "choose_nodes",
     "estimate_normals",
-    "farthest_from_centroid",
-    "farthest_points",
     "grown_region",
     "neighbours",
     "node_counts",

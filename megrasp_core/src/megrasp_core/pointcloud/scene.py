@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from megrasp_core.errors import CloudError, EmptyRegionError, GravityError, InvalidRequestError
+from megrasp_core.meshes import farthest_points
 
 from .box import OrientedBox
 from .cloud import Cloud
 from .knn import local_normals, neighbours, oriented, outlier_mask
 from .plane import PlaneSettings, support_plane
-from .sampling import farthest_points
 from .voxels import VoxelGroups
 
 FloatArray = NDArray[np.float64]

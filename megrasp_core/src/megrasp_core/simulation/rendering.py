@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import NDArray
 
 from megrasp_core.errors import InvalidRequestError
+from megrasp_core.meshes import Mesh, RayScene
 from megrasp_core.pointcloud import Cloud
 
 from .camera import Camera, depth_to_points
@@ -39,36 +39,31 @@ class Snapshot:
     """The visible geometry of a world as it is now: objects, table, bin; never the gripper."""
 
     def __init__(self, world: World) -> None:
-        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+        meshes: list[Mesh] = []
         owners: list[int] = []
         inward: list[NDArray[np.float64]] = []
         poses = world.object_poses()
         for index in world.present:
             model, pose = world.objects[index], poses[index]
-            self._add(model.vertices @ pose[:3, :3].T + pose[:3, 3], model.faces)
+            meshes.append(model.mesh.moved(pose))
             owners.append(index)
         if world.has_table:
             square = _CORNERS[:4] * [TABLE_HALF, TABLE_HALF, 0.0]
-            self._add(square, np.array([[0, 1, 2], [1, 3, 2]]))
+            meshes.append(Mesh(square, np.array([[0, 1, 2], [1, 3, 2]])))
             owners.append(SCENERY)
         self._first_wall = len(owners)
         if world.bin is not None:
             pose, walls = world.bin.world_from_bin, world.bin.wall_boxes()
             for centre, half in [*walls, *world.bin.floor_boxes()]:
                 corners = _CORNERS * half + centre
-                self._add(corners @ pose[:3, :3].T + pose[:3, 3], _BOX_FACES)
+                meshes.append(Mesh(corners, _BOX_FACES).moved(pose))
                 owners.append(SCENERY)
             for centre, _ in walls:
                 across = -centre * [1.0, 1.0, 0.0] / np.linalg.norm(centre[:2])
                 inward.append(pose[:3, :3] @ across)
         self._inward = np.array(inward, dtype=np.float32).reshape(-1, 3)
         self._owners = np.array([*owners, SCENERY], dtype=np.int32)
-
-    def _add(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
-        self._scene.add_triangles(
-            o3d.core.Tensor.from_numpy(np.ascontiguousarray(vertices, dtype=np.float32)),
-            o3d.core.Tensor.from_numpy(np.ascontiguousarray(faces, dtype=np.uint32)),
-        )
+        self._scene = RayScene(meshes, apart=True)
 
     def view(self, camera: Camera) -> View:
         """Cast one ray a pixel."""
@@ -77,13 +72,12 @@ class Snapshot:
         rays = np.empty((camera.height, camera.width, 6), dtype=np.float32)
         rays[..., :3] = pose[:3, 3]
         rays[..., 3:] = directions
-        hit = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays), nthreads=1)
+        hits = self._scene.cast(rays)
         # Directions have z = 1 in the optical frame, so the ray parameter is the depth.
-        depth = hit["t_hit"].numpy()
-        normals = hit["primitive_normals"].numpy()
+        depth, normals = hits.distance, hits.normals
         missed = ~np.isfinite(depth) | (depth > camera.far)
         depth = np.where(missed, np.float32(0.0), depth)
-        geometry = np.minimum(hit["geometry_ids"].numpy(), len(self._owners) - 1)
+        geometry = np.minimum(hits.mesh, len(self._owners) - 1)
         owner = self._owners[geometry]
         owner[missed] = SCENERY
         along = np.einsum("hwk,hwk->hw", normals, rays[..., 3:])

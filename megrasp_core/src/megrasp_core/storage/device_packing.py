@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from safetensors.numpy import save
 
 from megrasp_core.errors import DataError, InvalidRequestError
-from megrasp_core.pointcloud import SceneSettings, choose_nodes, farthest_points, node_counts
+from megrasp_core.meshes import farthest_points
+from megrasp_core.pointcloud import SceneSettings, choose_nodes, node_counts
 
 from .device_pack import FORMAT, OPTIONAL, QUATERNION, digest
 from .files import text_array, write_bytes

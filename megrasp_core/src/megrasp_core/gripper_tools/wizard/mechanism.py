@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from megrasp_core.errors import DescriptionError
 from megrasp_core.grippers import BodyMesh, body_meshes
-from megrasp_core.grippers.render import draw
+from megrasp_core.meshes import sample_stratified
 
 SPACING = 0.0018
 """Mean distance of surface points (m): well below the cells that pads are measured in."""
@@ -118,21 +118,15 @@ def sample_surface(model: mujoco.MjModel) -> tuple[NDArray[np.float64], NDArray[
     for mesh in [*solid, *shown]:
         by_body.setdefault(mesh.body, []).append(mesh)
     for body, meshes in by_body.items():
-        area = sum(_area(mesh) for mesh in meshes)
+        area = sum(one.mesh.area for one in meshes)
         count = int(np.clip(area / SPACING**2, FEWEST, MOST))
-        sample = draw([(mesh.vertices, mesh.faces) for mesh in meshes], count, seed=body)
-        corners = np.concatenate([mesh.vertices for mesh in meshes])
+        sample = sample_stratified([one.mesh for one in meshes], count, seed=body)
+        corners = np.concatenate([one.mesh.vertices for one in meshes])
         # Corners too: an area draw never reaches the very end of a link.
         corners = corners[:: max(1, len(corners) // 200)]
         points.append(np.concatenate([sample.points, corners]))
         owner.append(np.full(len(points[-1]), body, np.int64))
     return np.concatenate(points), np.concatenate(owner)
-
-
-def _area(mesh: BodyMesh) -> float:
-    corner = mesh.vertices[mesh.faces]
-    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    return float(np.linalg.norm(cross, axis=1).sum()) / 2.0
 
 
 def _children(

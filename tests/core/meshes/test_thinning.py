@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from megrasp_core.grippers import BodyMesh, Mesh, make_clouds
-from megrasp_core.grippers.thinning import MOST, thinned
+from megrasp_core.grippers import BodyMesh, make_clouds
+from megrasp_core.meshes import Mesh, thinned
+from megrasp_core.meshes.thinning import MOST
 
 
 def box() -> Mesh:
     """A box of 12 triangles."""
     mesh = trimesh.creation.box((0.10, 0.06, 0.04))
-    return np.array(mesh.vertices), np.array(mesh.faces, np.int64)
+    return Mesh(np.array(mesh.vertices), np.array(mesh.faces, np.int64))
 
 
 def bumpy_torus(around: int, across: int) -> Mesh:
@@ -26,16 +27,17 @@ def bumpy_torus(around: int, across: int) -> Mesh:
     right, up = np.roll(index, -1, axis=0), np.roll(index, -1, axis=1)
     both = np.roll(right, -1, axis=1)
     quads = np.stack([index, right, both, up], axis=-1).reshape(-1, 4)
-    return points.reshape(-1, 3), np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    return Mesh(points.reshape(-1, 3), faces)
 
 
 def test_a_million_triangles() -> None:
     """Thinned to a tenth, the surface stays within half a millimetre and smooth."""
-    vertices, faces = bumpy_torus(1000, 500)
-    assert len(faces) == 10**6
+    mesh = bumpy_torus(1000, 500)
+    assert len(mesh.faces) == 10**6
     pose = np.eye(4)[None].copy()
     pose[0, :3, 3] = 0.1
-    clouds = make_clouds([BodyMesh(0, vertices, faces)], np.eye(4)[None], pose, count=1024, seed=0)
+    clouds = make_clouds([BodyMesh(0, mesh)], np.eye(4)[None], pose, count=1024, seed=0)
     np.testing.assert_allclose(clouds.displacement, 0.1, atol=1e-12)
     for shift, points, normals in (
         (0.0, clouds.open_points, clouds.open_normals),
@@ -61,7 +63,7 @@ def test_thinning() -> None:
     (vertices, faces), (corners, sides) = thinned(heavy)
     assert len(heavy[0][1]) > MOST > 100_000 > len(faces) > 30_000
     np.testing.assert_allclose(corners[sides], heavy[1][0][heavy[1][1]], atol=1e-12)
-    large = [(3.0 * heavy[0][0], heavy[0][1])]
+    large = [Mesh(3.0 * heavy[0].vertices, heavy[0].faces)]
     assert len(thinned(large)[0][1]) > 200_000, "cells do not grow beyond 2 mm"
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     forth = edges[:, 0] * len(vertices) + edges[:, 1]

@@ -1,15 +1,13 @@
-"""Fewer triangles for a gripper that has too many to render quickly."""
+"""Fewer triangles for meshes that have too many to cast rays at quickly."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from .render import Mesh
+from .mesh import Mesh
 
 # Up to MOST triangles in all are left as they are; more become about AIM.
 MOST = 160_000
@@ -50,7 +48,7 @@ def _merged(vertices: NDArray[np.float64], faces: NDArray[np.int64], cell: float
     low, high = vertices.min(axis=0, initial=np.inf), vertices.max(axis=0, initial=-np.inf)
     extent = float((high - low).max())
     if not 0.0 < extent < np.inf:
-        return vertices, faces
+        return Mesh(vertices, faces)
     scale = 1.0 / max(cell, extent / FINEST_SHARE)
     x, y, z = (
         ((column - start) * scale).astype(np.int32)
@@ -67,4 +65,4 @@ def _merged(vertices: NDArray[np.float64], faces: NDArray[np.int64], cell: float
     means = np.stack([np.bincount(number, column) / counts for column in vertices.T], axis=1)
     merged = number[faces]
     a, b, c = merged.T
-    return means, merged[(a != b) & (b != c) & (c != a)].astype(np.int64)
+    return Mesh(means, merged[(a != b) & (b != c) & (c != a)].astype(np.int64))

@@ -1,0 +1,20 @@
+"""Triangle meshes: rays against them, points on them, fewer triangles; farthest points."""
+
+from .farthest import farthest_from_centroid, farthest_points
+from .mesh import Mesh, joined
+from .rays import Hits, RayScene
+from .sampling import SurfaceSample, sample_stratified, sample_uniform
+from .thinning import thinned
+
+__all__ = [
+    "Hits",
+    "Mesh",
+    "RayScene",
+    "SurfaceSample",
+    "farthest_from_centroid",
+    "farthest_points",
+    "joined",
+    "sample_stratified",
+    "sample_uniform",
+    "thinned",
+]
