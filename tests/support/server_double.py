@@ -26,7 +26,9 @@ class DoubleSynthesizer:
 
     def __init__(self, behaviour: str) -> None:
         trained = {"robotiq_2f85": load_gripper("robotiq_2f85").hash}
-        self.model = SimpleNamespace(model_id=behaviour, info={"trained_grippers": trained})
+        self.model = SimpleNamespace(
+            model_id=behaviour, info=SimpleNamespace(trained_grippers=trained)
+        )
         self.behaviour = behaviour
         self.gripper = None
         self.threads: set[int] = set()

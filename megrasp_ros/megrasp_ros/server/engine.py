@@ -5,7 +5,7 @@ worker thread.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -123,18 +123,7 @@ class Engine:
         """Return whether the loaded model was trained with this description."""
         if self._synthesizer is None:
             return False
-        return gripper.hash in trained_hashes(self._synthesizer.model.info)
-
-
-def trained_hashes(info: Mapping[str, Any]) -> set[str]:
-    """Return the description hashes under `trained_grippers` of a model's config.json.
-
-    Both {name: hash} and [{"name": ..., "hash": ...}] are read.
-    """
-    trained = info.get("trained_grippers") or {}
-    if isinstance(trained, Mapping):
-        return {str(value) for value in trained.values()}
-    return {str(entry["hash"]) if isinstance(entry, Mapping) else str(entry) for entry in trained}
+        return gripper.hash in self._synthesizer.model.info.trained_grippers.values()
 
 
 def best_of(results: list[tuple[Gripper, Any]]) -> tuple[Gripper, Any]:
@@ -144,4 +133,4 @@ def best_of(results: list[tuple[Gripper, Any]]) -> tuple[Gripper, Any]:
     return max(results, key=lambda pair: pair[1].grasps[0].score if pair[1].grasps else -np.inf)
 
 
-__all__ = ["Engine", "Factory", "best_of", "load_synthesizer", "resolve_device", "trained_hashes"]
+__all__ = ["Engine", "Factory", "best_of", "load_synthesizer", "resolve_device"]

@@ -9,19 +9,35 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from point_mixture import PointMixture
+from torch import Tensor
 
 from megrasp_core.diffusion import (
+    LOW_LEVEL,
     NoiseSchedule,
-    PointMixture,
-    apply_residual,
     perturb,
     score_target,
     target,
 )
 from megrasp_core.errors import InvalidRequestError
-from megrasp_core.lie import igso3, so3
+from megrasp_core.lie import full_precision, igso3, so3
 
 F64 = torch.float64
+
+
+@full_precision
+def _applied(
+    residual: Tensor,
+    rotation: Tensor,
+    translation: Tensor,
+    s: Tensor,
+    schedule: NoiseSchedule,
+) -> tuple[Tensor, Tensor]:
+    """Clean pose (R_0, t_0) that a residual (..., 6) at the noisy pose means; undoes `target`."""
+    offset = (schedule.sigma_t * s)[..., None] * residual[..., :3]
+    turn = (schedule.sigma_r * s)[..., None] * residual[..., 3:]
+    moved = translation + (rotation @ offset[..., None]).squeeze(-1)
+    return rotation @ so3.exp(turn), moved
 
 
 def _poses(count: int, seed: int) -> tuple[torch.Tensor, torch.Tensor, torch.Generator]:
@@ -38,22 +54,30 @@ def test_levels_of_the_design() -> None:
     assert ratios == pytest.approx([0.03 ** (1 / 9)] * 9)
     restart = NoiseSchedule().levels(5, 0.3)
     assert restart == pytest.approx([0.3 * 0.1 ** (k / 4) for k in range(5)] + [0])
-    assert NoiseSchedule(process="flow").levels(4) == pytest.approx([1, 0.75, 0.5, 0.25, 0])
     assert NoiseSchedule().levels(1) == [1.0, 0.0]
 
 
-def test_random_levels_follow_the_process() -> None:
+def test_random_levels_are_even_in_their_logarithm() -> None:
     generator = torch.Generator().manual_seed(0)
-    s = NoiseSchedule().random_levels(20000, generator=generator)
+    s = NoiseSchedule().random_levels(20000, generator)
     assert s.min() >= 0.03 - 1e-6 and s.max() <= 1
     assert s.log().mean() == pytest.approx(math.log(0.03) / 2, abs=0.03)
-    flow = NoiseSchedule(process="flow").random_levels(20000, generator=generator)
-    assert flow.mean() == pytest.approx(0.515, abs=0.01)
 
 
-@pytest.mark.parametrize(
-    "values", [{"sigma_t": 0.0}, {"sigma_r": -1.0}, {"s_min": 1.0}, {"process": "walk"}]
-)
+@pytest.mark.parametrize("s_min", [0.015, 0.03])
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_a_share_of_the_levels_is_low(s_min: float, share: float) -> None:
+    s = NoiseSchedule(s_min=s_min).random_levels(
+        2000, torch.Generator().manual_seed(1), low_share=share
+    )
+    assert float((s < LOW_LEVEL).float().mean()) == pytest.approx(share, abs=2e-3)
+    assert s.min() >= s_min - 1e-6 and s.max() <= 1
+    low = s[s < LOW_LEVEL].log()
+    if share:
+        assert low.mean() == pytest.approx(math.log(s_min * LOW_LEVEL) / 2, abs=0.05)
+
+
+@pytest.mark.parametrize("values", [{"sigma_t": 0.0}, {"sigma_r": -1.0}, {"s_min": 1.0}])
 def test_bad_schedule_is_named(values: dict) -> None:
     with pytest.raises(InvalidRequestError, match="expected"):
         NoiseSchedule(**values)
@@ -64,16 +88,14 @@ def test_bad_schedule_is_named(values: dict) -> None:
 
 
 @settings(max_examples=30, deadline=None)
-@given(
-    st.integers(0, 10**6), st.sampled_from(["diffusion", "flow"]), st.sampled_from([0.03, 0.3, 1])
-)
-def test_target_leads_back_exactly(seed: int, process: str, level: float) -> None:
-    schedule = NoiseSchedule(process=process)  # pyright: ignore[reportArgumentType]
+@given(st.integers(0, 10**6), st.sampled_from([0.03, 0.3, 1]))
+def test_target_leads_back_exactly(seed: int, level: float) -> None:
+    schedule = NoiseSchedule()
     rotation, translation, generator = _poses(20, seed)
     s = torch.full((20,), float(level), dtype=F64)
     noisy_r, noisy_t = perturb(rotation, translation, s, schedule, generator)
     y = target(rotation, translation, noisy_r, noisy_t, s, schedule)
-    back_r, back_t = apply_residual(y, noisy_r, noisy_t, s, schedule)
+    back_r, back_t = _applied(y, noisy_r, noisy_t, s, schedule)
     torch.testing.assert_close(back_r, rotation, rtol=0, atol=1e-13)
     torch.testing.assert_close(back_t, translation, rtol=0, atol=1e-13)
 
@@ -195,7 +217,7 @@ def test_autocast_does_not_touch_poses() -> None:
         noisy = perturb(rotation, translation, s, schedule, torch.Generator().manual_seed(1))
         y = target(rotation, translation, *noisy, s, schedule)
         score = score_target(rotation, noisy[0], s, schedule)
-        return [*noisy, y, score, *apply_residual(y, *noisy, s, schedule)]
+        return [*noisy, y, score, *_applied(y, *noisy, s, schedule)]
 
     with torch.autocast("cpu", dtype=torch.bfloat16):
         under = everything()

@@ -6,10 +6,10 @@ import math
 
 import pytest
 import torch
+from point_mixture import PointMixture
 
 from megrasp_core.diffusion import (
     NoiseSchedule,
-    PointMixture,
     SamplerSettings,
     SamplerStep,
     descend,
@@ -37,10 +37,10 @@ def _single(count: int, schedule: NoiseSchedule):
     return denoise, rotation, translation, starts, generator
 
 
-@pytest.mark.parametrize("kind", ["deterministic", "ancestral", "flow_matching"])
+@pytest.mark.parametrize("kind", ["deterministic", "ancestral"])
 @pytest.mark.parametrize("restarts", [0, 2])
 def test_one_target_is_reached(kind, restarts: int) -> None:
-    schedule = NoiseSchedule(process="flow" if kind == "flow_matching" else "diffusion")
+    schedule = NoiseSchedule()
     denoise, rotation, translation, starts, generator = _single(200, schedule)
     choice = SamplerSettings(kind=kind, restarts=restarts)
     last = last_step(sample_steps(denoise, starts, choice, schedule, generator))
@@ -245,14 +245,11 @@ def test_autocast_around_the_sampler_does_not_touch_poses() -> None:
         {"restart_level": 0.0},
         {"langevin_step": 2.0},
         {"restart_level": 0.02},
-        {"kind": "flow_matching"},
     ],
 )
 def test_bad_settings_are_named(values: dict) -> None:
     with pytest.raises(InvalidRequestError, match="expected"):
         SamplerSettings(**values).check(NoiseSchedule())
-    with pytest.raises(InvalidRequestError, match="flow"):
-        SamplerSettings(kind="langevin").check(NoiseSchedule(process="flow"))
 
 
 def test_bad_starts_are_named_before_the_first_step() -> None:

@@ -140,7 +140,7 @@ def test_parts_inside_others_are_hidden(share: float) -> None:
     hidden = render_cloud([case, ball], COUNT, 0)
     assert (hidden.mesh == 0).all()
     assert (outward_on_box(hidden, EXTENTS) > 0.99).all()
-    shifted = Mesh(ball.vertices + [0.0, 0.0, EXTENTS[2] / 2.0], ball.faces)
+    shifted = Mesh(ball.vertices + np.array([0.0, 0.0, EXTENTS[2] / 2.0]), ball.faces)
     half = render_cloud([case, shifted], 4 * COUNT, 0)
     dome = half.points[half.mesh == 1]
     assert len(dome) > 50

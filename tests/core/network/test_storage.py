@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import pytest
 import torch
 from network_scenes import scene, tokens
 
+from megrasp_core.diffusion import SamplerSettings
 from megrasp_core.errors import ModelError
 from megrasp_core.network import PRESETS, GraspModel, load_model, save_model
+from megrasp_core.pointcloud import SceneSettings
+from megrasp_core.ranking import Calibration
 
 
 @pytest.fixture
@@ -72,6 +76,62 @@ def test_config_with_an_unknown_field(folder):
     (folder / "config.json").write_text(json.dumps(content))
     with pytest.raises(ModelError, match=r"unknown fields \['colour'\]"):
         load_model(folder)
+
+
+def test_the_facts_survive_a_round_trip(folder):
+    model = load_model(folder)
+    facts = dataclasses.replace(
+        model.info,
+        heads=("confidence",),
+        sampler=SamplerSettings(steps=3),
+        scene=SceneSettings(voxel=0.005),
+        calibration=Calibration(bias=0.5),
+        trained_grippers={"robotiq_2f85": "abc"},
+        counters={"poses": 7},
+        training={"seed": 1},
+    )
+    model.info = facts
+    read = load_model(save_model(model, folder)).info
+    assert read == dataclasses.replace(facts, sha256=read.sha256)
+    assert read.parameters == sum(weight.numel() for weight in model.parameters())
+
+
+@pytest.mark.parametrize(
+    ("entry", "value", "told"),
+    [
+        ("colour", 1, r"unknown entries \['colour'\]; expected some of \['calibration'"),
+        ("heads", ["opinion"], r"heads are \['opinion'\].*'graspability'"),
+        ("data_scenes", "many", r"data_scenes = 'many'; expected a whole number"),
+        ("sampler", {"steps": "ten"}, r"'sampler' has steps = 'ten'; expected a whole number"),
+        ("sampler", {"kind": "euler"}, r"'sampler' has kind = 'euler'.*ancestral"),
+        ("sampler", {"steps": 0}, "expected at least 1"),
+        ("scene", {"voxels": 0.004}, r"'scene' has unknown entries \['voxels'\].*'voxel'"),
+        ("scene", 4, "'scene' is 4; expected a mapping"),
+        ("calibration", {"bias": "much"}, "bias = 'much'; expected a number"),
+    ],
+)
+def test_config_with_a_wrong_entry(folder, entry, value, told):
+    content = json.loads((folder / "config.json").read_text())
+    content[entry] = value
+    (folder / "config.json").write_text(json.dumps(content))
+    with pytest.raises(ModelError, match=told):
+        load_model(folder)
+
+
+@pytest.mark.parametrize(
+    "content", ["[]", "{}", "{", '{"network": 3}', '{"network": {"width": "w"}}']
+)
+def test_config_of_another_kind(folder, content):
+    (folder / "config.json").write_text(content)
+    with pytest.raises(ModelError, match=r"config\.json cannot be read"):
+        load_model(folder)
+
+
+def test_the_default_model_says_what_it_was_trained_with():
+    info = load_model().info
+    assert "robotiq_2f85" in info.trained_grippers
+    assert set(info.heads) == {"confidence", "graspability"}
+    assert info.calibration is not None
 
 
 def test_device_that_is_absent(folder):

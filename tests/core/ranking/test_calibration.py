@@ -57,12 +57,3 @@ def test_one_sided_verdicts_are_refused():
     features, _ = drawn(Calibration(), 10)
     with pytest.raises(InvalidRequestError, match="10 successes of 10"):
         fit_calibration(features, np.ones(10, bool))
-
-
-def test_round_trip_and_unknown_names():
-    calibration = Calibration(bias=0.1, hidden=-1.5)
-    assert Calibration.from_dict(calibration.to_dict()) == calibration
-    with pytest.raises(InvalidRequestError, match="expected numbers under bias, confidence"):
-        Calibration.from_dict({"unseen": 1.0})
-    with pytest.raises(InvalidRequestError, match="expected numbers"):
-        Calibration.from_dict({"bias": "much"})

@@ -116,11 +116,12 @@ def test_models_are_compared_by_samples_in_the_same_scenes(record, tmp_path, cap
     for seed in (1, 2):
         written_scenes.add(dataclasses.replace(record, seed=seed, name=f"scene_{seed:010d}"))
     written_scenes.close()
-    sampler = dataclasses.asdict(SamplerSettings(steps=2, restarts=0))
+    sampler = SamplerSettings(steps=2, restarts=0)
     for name in ("one", "two"):
         torch.manual_seed(len(name))
         model = GraspModel(PRESETS["tiny"], model_id=name)
-        save_model(model, tmp_path / name / "model", {"sampler": sampler})
+        model.info = dataclasses.replace(model.info, sampler=sampler)
+        save_model(model, tmp_path / name / "model")
     page = tmp_path / "page.md"
     page.write_text("<!-- comparison -->\n<!-- /comparison -->\n")
     out = tmp_path / "comparison.json"

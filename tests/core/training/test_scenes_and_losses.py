@@ -30,7 +30,7 @@ from megrasp_core.training import (
     without_objects,
 )
 from megrasp_core.training.batching import gripper_shares, varied
-from megrasp_core.training.losses import LOW_LEVEL, draw_levels, graspability_loss, nearest_copies
+from megrasp_core.training.losses import graspability_loss, nearest_copies
 
 HAND, PROCEDURAL = "allegro_hand", "angular_000062"
 CONFIG = TrainConfig(
@@ -175,17 +175,6 @@ def test_balanced_batches_give_rare_objects_their_share():
     weights = balance(owner)
     assert np.isclose(weights[owner == 1].sum(), 0.5)
     assert np.isclose(weights.sum(), 1.0)
-
-
-def test_levels_have_the_share_below_that_was_asked_for():
-    generator = torch.Generator().manual_seed(0)
-    for s_min, share in ((0.015, 0.3), (0.03, 0.5)):
-        s = draw_levels(2000, s_min, generator, torch.device("cpu"), share)
-        assert float((s < LOW_LEVEL).double().mean()) == pytest.approx(share, abs=0.002)
-        assert s_min <= float(s.min()) < 1.02 * s_min and 0.98 < float(s.max()) <= 1.0
-    plain = draw_levels(2000, 0.03, generator, torch.device("cpu"))
-    wanted = np.log(LOW_LEVEL / 0.03) / np.log(1 / 0.03)
-    assert float((plain < LOW_LEVEL).double().mean()) == pytest.approx(wanted, abs=0.002)
 
 
 def test_the_nearest_copy_against_all_copies():

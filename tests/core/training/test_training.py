@@ -80,13 +80,13 @@ def test_run_resume_and_load(data, tmp_path):
     assert len(seen) == 3
     assert {"diffusion", "score", "confidence", "graspability"} <= set(seen[0])
     second = load_model(tmp_path / "model")
-    counters = second.info["counters"]
+    counters = second.info.counters
     assert counters["poses"] == 32 * 6
     assert counters["scenes"] == counters["steps"] == 6
     assert not torch.equal(first.residual_head[0].weight, second.residual_head[0].weight), (
         "a resumed run must go on training"
     )
-    assert list(second.info["trained_grippers"]) == [GRIPPER]
+    assert list(second.info.trained_grippers) == [GRIPPER]
     lines = [json.loads(line) for line in (tmp_path / "losses.jsonl").read_text().splitlines()]
     assert [line["steps"] for line in lines] == [3, 6]
     for line in lines:
@@ -130,10 +130,10 @@ def test_everything_but_the_place_comes_from_the_checkpoint(data, tmp_path):
     model = resume_training(job, total_poses=32 * 3)
     info = load_model(tmp_path / "model").info
     assert model.config == config.network
-    assert info["model_id"] == "mine"
-    assert list(info["trained_grippers"]) == [GRIPPER, "franka_hand"]
-    assert info["training"]["learning_rate"] == 2e-3
-    assert info["counters"]["poses"] == info["training"]["total_poses"] == 32 * 3
+    assert info.model_id == "mine"
+    assert list(info.trained_grippers) == [GRIPPER, "franka_hand"]
+    assert info.training["learning_rate"] == 2e-3
+    assert info.counters["poses"] == info.training["total_poses"] == 32 * 3
 
 
 def test_a_checkpoint_is_seven_bytes_a_parameter(data, tmp_path):
@@ -162,9 +162,9 @@ def test_a_stretch_ends_in_time_and_goes_on(data, tmp_path):
     config = dataclasses.replace(CONFIG, total_poses=10**9)
     job = TrainingJob((data,), tmp_path, seconds=0.5)
     train(job, config)
-    before = load_model(tmp_path / "model").info["counters"]
+    before = load_model(tmp_path / "model").info.counters
     resume_training(job)
-    after = load_model(tmp_path / "model").info["counters"]
+    after = load_model(tmp_path / "model").info.counters
     assert 0 < before["poses"] < after["poses"] < 10**8
     assert (before["stretches"], after["stretches"]) == (1, 2)
 
@@ -185,7 +185,7 @@ def test_sigterm_saves_and_exits_0(data, tmp_path):
         process.kill()
     assert process.returncode == 0, output
     assert "--resume goes on from there" in output
-    assert load_model(tmp_path / "model").info["counters"]["steps"] >= 1
+    assert load_model(tmp_path / "model").info.counters["steps"] >= 1
     assert (tmp_path / "checkpoint.safetensors").exists()
 
 
@@ -201,7 +201,7 @@ def test_two_processes_train_what_one_does(data, tmp_path):
     torch.manual_seed(config.seed)
     start = TrainingRun(TrainingJob((data,), tmp_path / "0"), config).model.state_dict()
     assert distance(one, two) < 0.01 * distance(one, start)
-    counters = [load_model(tmp_path / name / "model").info["counters"] for name in ("1", "2")]
+    counters = [load_model(tmp_path / name / "model").info.counters for name in ("1", "2")]
     for name in ("steps", "poses", "labelled_poses", "scenes"):
         assert counters[0][name] == counters[1][name]
 
@@ -244,8 +244,8 @@ def test_heads_only_leaves_the_diffusion(data, tmp_path):
         if not name.startswith(("confidence", "graspability")):
             assert same, f"{name} must not change"
     info = load_model(tmp_path / "heads" / "model").info
-    assert info["counters"]["poses"] == 0 and info["counters"]["labelled_poses"] >= 40
-    assert info["started_from"]["model_id"] == "tiny-run"
+    assert info.counters["poses"] == 0 and info.counters["labelled_poses"] >= 40
+    assert info.started_from["model_id"] == "tiny-run"
 
 
 def test_growing_data_comes_in_at_a_checkpoint(data, tmp_path):
@@ -326,7 +326,7 @@ def test_a_lost_process_leaves_what_was_trained(data, tmp_path):
 
     with pytest.raises(TrainingError, match="a process that shares the training ended"):
         train(job, config, on_progress=kill)
-    assert load_model(tmp_path / "model").info["counters"]["steps"] == 3
+    assert load_model(tmp_path / "model").info.counters["steps"] == 3
 
 
 def test_errors_say_what_to_do(data, tmp_path):

@@ -4,6 +4,7 @@ signals.
 
 from __future__ import annotations
 
+import dataclasses
 import signal
 import time
 from pathlib import Path
@@ -47,7 +48,9 @@ def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     folder = tmp_path_factory.mktemp("models") / "untrained"
     trained = {"robotiq_2f85": load_gripper("robotiq_2f85").hash}
-    save_model(GraspModel(config), folder, {"trained_grippers": trained})
+    model = GraspModel(config)
+    model.info = dataclasses.replace(model.info, trained_grippers=trained)
+    save_model(model, folder)
     return folder
 
 

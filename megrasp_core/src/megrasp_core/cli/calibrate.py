@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import dataclasses
 from pathlib import Path
 
 from .common import Flag, emit, progress_bar, say
@@ -46,7 +46,7 @@ def calibrate(
     from megrasp_core.evaluation.planners import ModelPlanner
     from megrasp_core.evaluation.protocols import ProtocolSettings
     from megrasp_core.grippers import load_gripper
-    from megrasp_core.network import find_model
+    from megrasp_core.network import find_model, load_model, save_model
     from megrasp_core.synthesizer import GraspSynthesizer
 
     settings = ProtocolSettings(scenes=scenes, judged=judged, drawn=drawn, seed=seed)
@@ -75,9 +75,8 @@ def calibrate(
         f"{report['confidence']['log_loss']}, {report['confidence']['auc']})"
     )
     if write:
-        config = folder / "config.json"
-        content = json.loads(config.read_text())
-        content["calibration"] = calibration.to_dict()
-        config.write_text(json.dumps(content, indent=2) + "\n")
-        say(f"wrote the calibration into {config}")
+        loaded_model = load_model(folder)
+        loaded_model.info = dataclasses.replace(loaded_model.info, calibration=calibration)
+        save_model(loaded_model, folder)
+        say(f"wrote the calibration into {folder}")
     return 0

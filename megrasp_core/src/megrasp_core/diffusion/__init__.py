@@ -1,18 +1,16 @@
 """Diffusion on SE(3): noise schedule, forward process, samplers."""
 
-from .forward import apply_residual, perturb, score_target, target
-from .mixture import PointMixture
+from .forward import perturb, score_target, target
 from .sampler import Denoise, SamplerStep, descend, last_step, refine, sample_steps
-from .schedule import NoiseSchedule
+from .schedule import LOW_LEVEL, NoiseSchedule
 from .settings import SamplerSettings
 
 __all__ = [
+    "LOW_LEVEL",
     "Denoise",
     "NoiseSchedule",
-    "PointMixture",
     "SamplerSettings",
     "SamplerStep",
-    "apply_residual",
     "descend",
     "last_step",
     "perturb",

@@ -26,15 +26,15 @@ def perturb(
 ) -> tuple[Tensor, Tensor]:
     """Noisy poses (R_s, t_s) at the levels s.
 
-    t_s = t_0 + s sigma_t R_0 eps, R_s = R_0 Exp(w n) with w n ~ IGSO3(s sigma_r); for the flow
-    process R_s = R_0 Exp(s Log(R_0^T R_uniform)). The translation noise is drawn in the frame of
-    the pose: the same distribution, and with equal generator states noise turns with the pose.
+    t_s = t_0 + s sigma_t R_0 eps, R_s = R_0 Exp(w n) with w n ~ IGSO3(s sigma_r). The translation
+    noise is drawn in the frame of the pose: the same distribution, and with equal generator
+    states noise turns with the pose.
 
     Args:
         rotation: (..., 3, 3) R_0.
         translation: (..., 3) t_0 (m).
         s: (...) levels.
-        schedule: noise sizes and process.
+        schedule: noise sizes.
         generator: on the device of the poses.
     """
     eps = torch.randn(
@@ -45,13 +45,7 @@ def perturb(
     )
     offset = (schedule.sigma_t * s)[..., None] * eps
     noisy_translation = translation + (rotation @ offset[..., None]).squeeze(-1)
-    if schedule.process == "flow":
-        uniform = so3.random_rotation(
-            *s.shape, generator=generator, dtype=rotation.dtype, device=rotation.device
-        )
-        turn = s[..., None] * so3.log(uniform)
-    else:
-        turn = igso3.sample(schedule.sigma_r * s, generator)
+    turn = igso3.sample(schedule.sigma_r * s, generator)
     return rotation @ so3.exp(turn), noisy_translation
 
 
@@ -77,21 +71,6 @@ def target(
 
 
 @full_precision
-def apply_residual(
-    residual: Tensor,
-    rotation: Tensor,
-    translation: Tensor,
-    s: Tensor,
-    schedule: NoiseSchedule,
-) -> tuple[Tensor, Tensor]:
-    """Clean pose (R_0, t_0) that a residual (..., 6) at the noisy pose means; undoes `target`."""
-    offset = (schedule.sigma_t * s)[..., None] * residual[..., :3]
-    turn = (schedule.sigma_r * s)[..., None] * residual[..., 3:]
-    moved = translation + (rotation @ offset[..., None]).squeeze(-1)
-    return rotation @ so3.exp(turn), moved
-
-
-@full_precision
 def score_target(
     rotation: Tensor, noisy_rotation: Tensor, s: Tensor, schedule: NoiseSchedule
 ) -> Tensor:
@@ -99,7 +78,6 @@ def score_target(
 
     w n = Log(R_0^T R_s): the derivative of the log density along body-frame turns of the noisy
     pose, in units of the level's noise. For s sigma_r <= 0.5 it equals the residual within 2 %.
-    Only for the diffusion process.
     """
     turn = so3.log(rotation.transpose(-1, -2) @ noisy_rotation)
     return scaled_rotation_score(turn, schedule.sigma_r * s)

@@ -4,14 +4,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from megrasp_core.errors import InvalidRequestError
 
-Process = Literal["diffusion", "flow"]
+LOW_LEVEL = 0.1
+"""Below this level of noise a pose is a matter of millimetres."""
+
+
+class NoiseSizes(Protocol):
+    """What a schedule takes from the config of a network."""
+
+    @property
+    def sigma_t(self) -> float: ...
+    @property
+    def sigma_r(self) -> float: ...
+    @property
+    def s_min(self) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -23,15 +35,11 @@ class NoiseSchedule:
         sigma_r: scale of the rotation noise at s = 1 (rad); at 2.0 uniform rotations are a correct
             start.
         s_min: the lowest level that the network sees.
-        process: "diffusion" (isotropic Gaussian on SO(3)) or "flow" (geodesic flow matching
-            towards a uniform rotation; levels in training are then uniform in s instead of in log
-            s).
     """
 
     sigma_t: float = 0.08
     sigma_r: float = 2.0
     s_min: float = 0.03
-    process: Process = "diffusion"
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -44,16 +52,17 @@ class NoiseSchedule:
                 f"got sigma_t={self.sigma_t}, sigma_r={self.sigma_r}, s_min={self.s_min}; "
                 "expected positive sigmas and s_min between 0 and 1"
             )
-        if self.process not in ("diffusion", "flow"):
-            raise InvalidRequestError(
-                f"got process {self.process!r}; expected 'diffusion' or 'flow'"
-            )
+
+    @classmethod
+    def of(cls, config: NoiseSizes) -> NoiseSchedule:
+        """The schedule that a network was made for."""
+        return cls(config.sigma_t, config.sigma_r, config.s_min)
 
     def levels(self, count: int, start: float = 1.0) -> list[float]:
         """The `count` levels at which the network is evaluated, falling from `start`, then 0.
 
-        Diffusion: geometric down to s_min, s_k = start (s_min/start)^((k-1)/(count-1)); flow:
-        equal steps. A single evaluation goes from `start` to 0.
+        Geometric down to s_min, s_k = start (s_min/start)^((k-1)/(count-1)). A single evaluation
+        goes from `start` to 0.
 
         Returns:
             count + 1 numbers, the last one 0.
@@ -66,8 +75,6 @@ class NoiseSchedule:
                 f"got {count} steps from level {start}; expected at least one step and a level "
                 f"over {self.s_min} and up to 1"
             )
-        if self.process == "flow":
-            return [start * (1 - k / count) for k in range(count)] + [0.0]
         if count == 1:
             return [start, 0.0]
         ratio = self.s_min / start
@@ -75,13 +82,21 @@ class NoiseSchedule:
 
     def random_levels(
         self,
-        *shape: int,
+        count: int,
         generator: torch.Generator | None = None,
-        dtype: torch.dtype = torch.float32,
+        *,
+        low_share: float | None = None,
         device: torch.device | str = "cpu",
     ) -> Tensor:
-        """Levels (*shape) for training: log s (diffusion) or s (flow) uniform over [s_min, 1]."""
-        u = torch.rand(*shape, generator=generator, dtype=dtype, device=device)
-        if self.process == "flow":
-            return self.s_min + (1 - self.s_min) * u
-        return torch.exp(math.log(self.s_min) * u)
+        """Levels (count,) for training, stratified: log s uniform in [log s_min, 0], or uniform in
+        both parts with a share of the levels below `LOW_LEVEL`.
+        """
+        jitter = torch.rand(count, generator=generator, device=device)
+        uniform = (torch.arange(count, device=device) + jitter) / count
+        lowest = math.log(self.s_min)
+        if low_share is None or self.s_min >= LOW_LEVEL:
+            return torch.exp(lowest * uniform)
+        border, high = math.log(LOW_LEVEL), 1.0 - low_share
+        above = border * uniform / high
+        below = border + (lowest - border) * (uniform - high) / max(low_share, 1e-9)
+        return torch.exp(torch.where(uniform < high, above, below))

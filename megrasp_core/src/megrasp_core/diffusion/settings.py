@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 from megrasp_core.errors import InvalidRequestError
 
 from .schedule import NoiseSchedule
 
-Kind = Literal["ancestral", "deterministic", "langevin", "probability_flow", "flow_matching"]
+Kind = Literal["ancestral", "deterministic", "langevin", "probability_flow"]
 KINDS: tuple[Kind, ...] = (
     "ancestral",
     "deterministic",
     "langevin",
     "probability_flow",
-    "flow_matching",
 )
 
 
@@ -25,9 +23,8 @@ class SamplerSettings:
     """Sampler and its evaluations of the network. DESIGN section 6, "Default sampler".
 
     Attributes:
-        kind: `ancestral` (default, stochastic), `deterministic`, `flow_matching` (for a network
-            trained with the flow process) use the residual; `langevin` and `probability_flow`
-            need the rotation score head.
+        kind: `ancestral` (default, stochastic) and `deterministic` use the residual; `langevin`
+            and `probability_flow` need the rotation score head.
         steps: noise levels from s = 1; network evaluations of the first descent, except for
             langevin.
         restarts: how often the result gets noise again and descends again.
@@ -74,13 +71,6 @@ class SamplerSettings:
                 "expected at least 1 move and a step in (0, 2)"
             )
 
-    @classmethod
-    def of(cls, info: Mapping[str, Any]) -> SamplerSettings:
-        """What a model's `config.json` says that it is meant to be sampled with; the default for
-        a model that says nothing.
-        """
-        return cls(**info.get("sampler", {}))
-
     @property
     def uses_score(self) -> bool:
         """Whether the rotation part handed to the sampler must be the score head's."""
@@ -111,21 +101,10 @@ class SamplerSettings:
         """Check that the sampler fits the process that the network was trained with.
 
         Raises:
-            InvalidRequestError: flow matching on a diffusion network, a score sampler on a flow
-                network, or restarts from below the lowest level.
+            InvalidRequestError: restarts from below the lowest level.
         """
         if self.restarts > 0 and self.restart_level <= schedule.s_min:
             raise InvalidRequestError(
                 f"got restart_level={self.restart_level}; expected a level over the lowest one, "
                 f"{schedule.s_min}, or restarts=0"
-            )
-        if self.kind == "flow_matching" and schedule.process != "flow":
-            raise InvalidRequestError(
-                "got sampler 'flow_matching' for a model trained with the diffusion process; "
-                "expected one of ancestral, deterministic, langevin, probability_flow"
-            )
-        if self.uses_score and schedule.process == "flow":
-            raise InvalidRequestError(
-                f"got sampler {self.kind!r} for a model trained with flow matching, which has no "
-                "rotation score; expected flow_matching, deterministic or ancestral"
             )

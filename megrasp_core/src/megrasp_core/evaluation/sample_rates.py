@@ -7,11 +7,11 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
-from megrasp_core.diffusion import NoiseSchedule, SamplerSettings
+from megrasp_core.diffusion import NoiseSchedule
 from megrasp_core.errors import DataError
 from megrasp_core.grippers import load_gripper
 from megrasp_core.machine import processor
@@ -130,12 +130,12 @@ def sample_rates(
         "unfiltered": cluster_bootstrap(held, tried).to_json(),
         "colliding": cluster_bootstrap(hit, tried).to_json(),
         "colliding_at_pre_grasp": dataclasses.asdict(causes),
-        "evaluations": (settings.sampler or SamplerSettings.of(model.info)).evaluations,
+        "evaluations": (settings.sampler or model.info.sampler).evaluations,
     }
 
 
 def _training_facts(model: GraspModel) -> dict[str, Any]:
-    counters = cast(dict[str, Any], model.info.get("counters", {}))
+    counters = model.info.counters
     return {
         "parameters": sum(weight.numel() for weight in model.parameters()),
         "poses": counters.get("poses"),
@@ -149,14 +149,11 @@ def _losses(
     """Losses on the scenes' own grasps as training validates, against the target that the model
     was trained for, from the noise level `s_min` on.
     """
-    training = cast(dict[str, Any], model.info.get("training", {}))
-    config = TrainConfig(
-        network=model.config, nearest_copy=bool(training.get("nearest_copy", False))
-    )
+    nearest_copy = bool(model.info.training.get("nearest_copy", False))
+    config = TrainConfig(network=model.config, nearest_copy=nearest_copy)
     rack = GripperRack(model.config.gripper_tokens)
     pairs = validation_pairs(list(entries.values()), config)
     names = {gripper for _, gripper in pairs}
-    network = model.config
     result = validate(
         model,
         entries,
@@ -164,7 +161,7 @@ def _losses(
         {name: rack.tokens(name) for name in names},
         config,
         SceneSettings(),
-        NoiseSchedule(network.sigma_t, network.sigma_r, s_min),
+        dataclasses.replace(NoiseSchedule.of(model.config), s_min=s_min),
         {name: rack.fold(name) for name in names},
     )
     return {

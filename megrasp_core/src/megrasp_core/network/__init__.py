@@ -3,6 +3,7 @@
 from .config import PRESETS, ModelConfig
 from .graph import SceneGraph, build_graph, graph_sizes
 from .gripper_encoder import GripperCode
+from .info import ModelInfo
 from .model import GraspModel, Prediction
 from .precision import low_precision_pays
 from .scene_encoder import SceneField
@@ -12,6 +13,7 @@ __all__ = [
     "GraspModel",
     "GripperCode",
     "ModelConfig",
+    "ModelInfo",
     "PRESETS",
     "Prediction",
     "SceneField",

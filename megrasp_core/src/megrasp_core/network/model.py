@@ -18,6 +18,7 @@ from .convolution import ReducedConvolution, SelfProduct
 from .decoder import Decoder
 from .graph import SceneGraph, build_graph
 from .gripper_encoder import GripperCode, GripperEncoder
+from .info import ModelInfo
 from .irreps import multiplicities
 from .kernels import require_kernels
 from .scene_encoder import SceneEncoder, SceneField, SurfaceInput
@@ -42,8 +43,7 @@ class GraspModel(nn.Module):
     def __init__(self, config: ModelConfig, *, model_id: str = "untrained") -> None:
         super().__init__()
         self.config = config
-        self.model_id = model_id
-        self.info: dict[str, object] = {}
+        self.info = ModelInfo(config, model_id)
         self.low_precision = False
         """Run the token part in bfloat16 (poses, features and the last layers stay as they
         are)."""
@@ -57,6 +57,11 @@ class GraspModel(nn.Module):
         self.confidence_head = _head(2 * dim, width, 1)
         scalars = multiplicities(config.coarse_irreps)[0]
         self.graspability_head = _head(scalars + width, width, 1)
+
+    @property
+    def model_id(self) -> str:
+        """The model's name."""
+        return self.info.model_id
 
     @property
     def device(self) -> torch.device:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import os
 from pathlib import Path
-from typing import Any
 
 import torch
 from safetensors import SafetensorError
@@ -14,7 +14,7 @@ from safetensors.torch import load_file, save
 
 from megrasp_core.errors import ModelError
 
-from .config import ModelConfig
+from .info import ModelInfo
 from .model import GraspModel
 from .precision import low_precision_pays
 
@@ -70,14 +70,14 @@ def load_model(
     """
     folder = find_model(model)
     try:
-        info: dict[str, Any] = json.loads((folder / CONFIG).read_text())
-        network = ModelConfig.from_dict(info["network"])
-    except (OSError, json.JSONDecodeError, KeyError, TypeError) as error:
+        info = ModelInfo.from_dict(json.loads((folder / CONFIG).read_text()))
+    except (OSError, ValueError, AttributeError, TypeError, ModelError) as error:
         raise ModelError(
-            f"{folder / CONFIG} cannot be read ({error}); expected JSON with a 'network' entry. "
-            "Restore the file from the repository or retrain."
+            f"{folder / CONFIG} cannot be read ({error}); expected JSON as `megrasp train` writes "
+            "it. Restore the file from the repository or retrain."
         ) from error
-    result = GraspModel(network, model_id=str(info.get("model_id", folder.name)))
+    result = GraspModel(info.network)
+    result.info = info
     try:
         weights = load_file(folder / WEIGHTS)
         result.load_state_dict(weights)
@@ -87,15 +87,14 @@ def load_model(
             "expected the "
             "file written with it. Restore the file from the repository or retrain."
         ) from error
-    digest = info.get("sha256")
-    if digest and digest != file_digest(folder / WEIGHTS):
+    if info.sha256 and info.sha256 != file_digest(folder / WEIGHTS):
         raise ModelError(
-            f"weights {folder / WEIGHTS} do not match the sha256 in {CONFIG}; expected {digest}. "
+            f"weights {folder / WEIGHTS} do not match the sha256 in {CONFIG}; expected "
+            f"{info.sha256}. "
             "Restore both files from the same version."
         )
-    result.info = info
     move_to(result, device, dtype)
-    result.low_precision = bool(info.get("low_precision")) and low_precision_pays(device)
+    result.low_precision = info.low_precision and low_precision_pays(device)
     return result.eval().requires_grad_(False)
 
 
@@ -117,21 +116,20 @@ def move_to(
         ) from error
 
 
-def save_model(model: GraspModel, folder: str | Path, info: dict[str, Any] | None = None) -> Path:
-    """Write weights and config; `info` is added to `config.json` (training facts)."""
+def save_model(model: GraspModel, folder: str | Path) -> Path:
+    """Write weights, and as config what the model's info says."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     weights = {k: v.detach().cpu().contiguous() for k, v in model.state_dict().items()}
     # Not `save_file`, which lets nobody but the owner read the file.
     data = save(weights)
-    content = {
-        "model_id": model.model_id,
-        "network": model.config.to_dict(),
-        "parameters": sum(v.numel() for v in weights.values()),
-        "sha256": hashlib.sha256(data).hexdigest(),
-        **(info or {}),
-    }
-    files = {WEIGHTS: data, CONFIG: (json.dumps(content, indent=2) + "\n").encode()}
+    model.info = dataclasses.replace(
+        model.info,
+        parameters=sum(v.numel() for v in weights.values()),
+        sha256=hashlib.sha256(data).hexdigest(),
+    )
+    config = json.dumps(model.info.to_dict(), indent=2) + "\n"
+    files = {WEIGHTS: data, CONFIG: config.encode()}
     # A run replaces its model while others may read it: both files are whole before either moves.
     for name, value in files.items():
         (folder / f".{name}.part").write_bytes(value)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -61,21 +59,6 @@ class Calibration:
     def to_dict(self) -> dict[str, float]:
         """Plain values for config.json."""
         return {key: round(value, 4) for key, value in dataclasses.asdict(self).items()}
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Calibration:
-        """Inverse of `to_dict`.
-
-        Raises:
-            InvalidRequestError: an unknown name, or a value that is no number.
-        """
-        names = [field.name for field in dataclasses.fields(cls)]
-        unknown = sorted(set(values) - set(names))
-        if unknown or not all(isinstance(v, int | float) for v in values.values()):
-            raise InvalidRequestError(
-                f"the calibration holds {dict(values)}; expected numbers under {', '.join(names)}."
-            )
-        return cls(**{key: float(value) for key, value in values.items()})
 
 
 def logistic_features(

@@ -151,7 +151,7 @@ def label_rollouts(
     settings = settings or RolloutSettings()
     facts = {
         "rollouts_of": synthesizer.model.model_id,
-        "weights": str(synthesizer.model.info.get("sha256", "")),
+        "weights": synthesizer.model.info.sha256,
         "settings": dataclasses.asdict(settings),
     }
     writer = SceneWriter(Path(out), facts)

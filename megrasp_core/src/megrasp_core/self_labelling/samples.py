@@ -63,8 +63,7 @@ def draw_poses(
     nodes = record.nodes(SceneSettings())
     field = model.encode_scene(nodes)
     code = model.encode_gripper(gripper.tokens(model.config.gripper_tokens, seed=0))
-    config = model.config
-    schedule = NoiseSchedule(sigma_t=config.sigma_t, sigma_r=config.sigma_r, s_min=config.s_min)
+    schedule = NoiseSchedule.of(model.config)
     generator = torch.Generator(model.device).manual_seed(settings.seed * 1_000_003 + record.seed)
     starts = draw_starts(model, field, code, settings.samples, generator)
     steps = sample_steps(
@@ -72,7 +71,7 @@ def draw_poses(
             model.predict(field, code, rotation, translation, s).residual
         ),
         starts,
-        settings.sampler or SamplerSettings.of(model.info),
+        settings.sampler or model.info.sampler,
         schedule,
         generator,
     )
@@ -174,7 +173,7 @@ def label_samples(
         Path(out),
         {
             "samples_of": model.model_id,
-            "weights": str(model.info.get("sha256", "")),
+            "weights": model.info.sha256,
             "settings": dataclasses.asdict(settings),
         },
     )

@@ -33,7 +33,7 @@ from .request import SynthesisRequest
 from .result import Synthesis
 from .selection import Assessed, collect
 from .settings import SynthesizerSettings
-from .starts import draw_starts, has_head
+from .starts import draw_starts
 
 __all__ = ["Cancelled", "MountedGripper", "OnStep", "SynthesisRun"]
 
@@ -198,7 +198,7 @@ class SynthesisRun:
         contacts: bool = True,
     ) -> Assessment:
         confidence = None
-        if has_head(self.model, "confidence"):
+        if "confidence" in self.model.info.heads:
             logit = self.model.confidence(scene, self.mounted.code, rotation, translation)
             confidence = logit.sigmoid().cpu().double().numpy()
         return judge.assess(poses, self.mounted.probe, confidence, cheap=cheap, contacts=contacts)
@@ -207,7 +207,7 @@ class SynthesisRun:
         self, final: Assessed, judge: SceneJudge, scene: SceneField, nodes: SceneNodes
     ) -> Assessed:
         settings = self.settings.polish
-        if self.request.mode != "default" or not has_head(self.model, "confidence"):
+        if self.request.mode != "default" or "confidence" not in self.model.info.heads:
             return final
 
         def assess(tcp: np.ndarray, contacts: bool) -> Assessed:

@@ -9,19 +9,11 @@ from torch import Tensor
 
 from megrasp_core.network import GraspModel, GripperCode, SceneField
 
-__all__ = ["draw_starts", "has_head"]
+__all__ = ["draw_starts"]
 
 UNIFORM_SHARE = 0.2
 """Share of the starts that are drawn uniformly even with graspability: coverage comes from the
 starts."""
-
-
-def has_head(model: GraspModel, name: str) -> bool:
-    """Whether a head (`confidence`, `graspability`) was trained, as `config.json` states under
-    `heads`.
-    """
-    heads = model.info.get("heads", ())
-    return isinstance(heads, (list, tuple)) and name in heads
 
 
 def draw_starts(
@@ -48,7 +40,7 @@ def draw_starts(
     uniform = fine[
         free[torch.randint(len(free), (count,), generator=generator, device=fine.device)]
     ]
-    if not has_head(model, "graspability"):
+    if "graspability" not in model.info.heads:
         return uniform
     probability = model.graspability(scene, code).sigmoid()
     index = torch.multinomial(probability + 1e-6, count, replacement=True, generator=generator)

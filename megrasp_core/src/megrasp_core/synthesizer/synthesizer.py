@@ -8,17 +8,17 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
 
-from megrasp_core.diffusion import NoiseSchedule, SamplerSettings
+from megrasp_core.diffusion import NoiseSchedule
 from megrasp_core.errors import InvalidRequestError
 from megrasp_core.grippers import Gripper, load_gripper
 from megrasp_core.network import GraspModel, load_model
-from megrasp_core.pointcloud import Cloud, OrientedBox, SceneSettings
-from megrasp_core.ranking import Calibration, GripperProbe, gripper_probe
+from megrasp_core.pointcloud import Cloud, OrientedBox
+from megrasp_core.ranking import GripperProbe, gripper_probe
 
 from .request import Mode, SynthesisRequest, as_array
 from .result import Synthesis
@@ -64,17 +64,10 @@ class GraspSynthesizer:
             )
         self.model = model
         self.settings = _calibrated(settings or SynthesizerSettings(), model)
-        self.sampler = self.settings.sampler or SamplerSettings.of(model.info)
+        self.sampler = self.settings.sampler or model.info.sampler
         self.threads = threads
-        config = model.config
-        process = str(model.info.get("process", "diffusion"))
-        self.schedule = NoiseSchedule(
-            config.sigma_t,
-            config.sigma_r,
-            config.s_min,
-            "flow" if process == "flow" else "diffusion",
-        )
-        self.scene_settings = self.settings.scene or _scene_settings(model)
+        self.schedule = NoiseSchedule.of(model.config)
+        self.scene_settings = self.settings.scene or model.info.scene
         self._encoded: dict[str, MountedGripper] = {}
         self._mounted: MountedGripper | None = None
         if gripper is not None:
@@ -221,15 +214,8 @@ class GraspSynthesizer:
 
 def _calibrated(settings: SynthesizerSettings, model: GraspModel) -> SynthesizerSettings:
     """The settings with the calibration that `config.json` states, unless they bring their own."""
-    stated: Any = model.info.get("calibration")
-    ranking = settings.ranking
+    stated, ranking = model.info.calibration, settings.ranking
     if stated is None or ranking.rank.calibration is not None:
         return settings
-    rank = replace(ranking.rank, calibration=Calibration.from_dict(stated))
+    rank = replace(ranking.rank, calibration=stated)
     return replace(settings, ranking=replace(ranking, rank=rank))
-
-
-def _scene_settings(model: GraspModel) -> SceneSettings:
-    """Preprocessing that the model was trained with, as `config.json` states it under `scene`."""
-    stated: Any = model.info.get("scene") or {}
-    return SceneSettings(**stated)

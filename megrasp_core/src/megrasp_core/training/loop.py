@@ -21,7 +21,7 @@ from megrasp_core.drawing.training_curves import append_losses, plot_curves
 from megrasp_core.errors import DataError, InvalidRequestError, TrainingError
 from megrasp_core.grippers import is_procedural
 from megrasp_core.jobs import StopSignals, deaf_to_ctrl_c
-from megrasp_core.network import GraspModel, low_precision_pays, move_to, save_model
+from megrasp_core.network import GraspModel, ModelInfo, low_precision_pays, move_to, save_model
 from megrasp_core.pointcloud import SceneSettings
 
 from .batching import SceneSource
@@ -235,8 +235,8 @@ class TrainingRun:
         if start_from is not None:
             self.model.load_state_dict(start_from.state_dict())
             kept = ("model_id", "counters", "training", "data_scenes", "sha256", "heads")
-            before = {name: start_from.info[name] for name in kept if name in start_from.info}
-            self.facts = {"started_from": before}
+            before = start_from.info.to_dict()
+            self.facts = {"started_from": {k: before[k] for k in kept if k in before}}
         move_to(self.model, job.device)
         self.model.low_precision = low_precision_pays(job.device)
         if job.compiled:
@@ -254,11 +254,7 @@ class TrainingRun:
             fused=True,
         )
         self.counters = Counters()
-        self.schedule = NoiseSchedule(
-            sigma_t=config.network.sigma_t,
-            sigma_r=config.network.sigma_r,
-            s_min=config.network.s_min,
-        )
+        self.schedule = NoiseSchedule.of(config.network)
         self.settings = SceneSettings()
         self.rack = GripperRack(config.network.gripper_tokens)
         self.hashes = {name: self.rack.gripper(name).hash for name in config.grippers}
@@ -467,7 +463,7 @@ class TrainingRun:
         model = GraspModel(self.config.network, model_id=self.config.model_id)
         model.load_state_dict({k: v.cpu() for k, v in self.ema.items()})
         model.low_precision = self.model.low_precision
-        model.info = {"model_id": self.config.model_id, **self._info()}
+        model.info = self._info()
         return model.to(self.job.device).eval().requires_grad_(False)
 
     def save(self) -> None:
@@ -504,28 +500,30 @@ class TrainingRun:
         }
         append_losses(out / "losses.jsonl", line)
         plot_curves(out / "losses.jsonl", out / "losses.png")
-        save_model(model, out / "model", model.info)
+        save_model(model, out / "model")
 
-    def _info(self) -> dict[str, Any]:
-        """What `config.json` of the model says of its training."""
+    def _info(self) -> ModelInfo:
+        """What `config.json` of the model says of it."""
         weights = {
             "confidence": self.config.confidence_weight,
             "graspability": self.config.graspability_weight,
         }
         heads = {name for name, weight in weights.items() if weight > 0}
         before = self.facts.get("started_from", {})
-        return {
-            **self.facts,
-            "counters": dataclasses.asdict(self.counters),
-            "training": self.config.to_dict(),
-            "trained_grippers": self.hashes,
-            "procedural_grippers": sum(is_procedural(name) for name in self.source.grippers),
-            "data_scenes": self.scenes,
-            "heads": sorted(heads | set(before.get("heads", ()))),
-            "scene": dataclasses.asdict(self.settings),
-            "sampler": dataclasses.asdict(self.config.sampler),
-            "low_precision": True,
-        }
+        return ModelInfo(
+            network=self.config.network,
+            model_id=self.config.model_id,
+            heads=tuple(sorted(heads | set(before.get("heads", ())))),
+            sampler=self.config.sampler,
+            scene=self.settings,
+            low_precision=True,
+            trained_grippers=self.hashes,
+            procedural_grippers=sum(is_procedural(name) for name in self.source.grippers),
+            data_scenes=self.scenes,
+            counters=dataclasses.asdict(self.counters),
+            training=self.config.to_dict(),
+            started_from=before,
+        )
 
 
 def _rounded(prefix: str, values: dict[str, float]) -> dict[str, float]:

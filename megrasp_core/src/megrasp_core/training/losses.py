@@ -17,9 +17,6 @@ from megrasp_core.network import GraspModel, GripperCode, SceneField
 from .batching import LabelledPoses, SceneBatch
 from .config import TrainConfig
 
-LOW_LEVEL = 0.1
-"""Below this level of noise a pose is a matter of millimetres."""
-
 
 @dataclasses.dataclass(frozen=True)
 class SceneLosses:
@@ -39,27 +36,6 @@ class SceneLosses:
     level: Tensor
     residual: Tensor
     owners: tuple[tuple[str, int], ...]
-
-
-def draw_levels(
-    count: int,
-    s_min: float,
-    generator: torch.Generator,
-    device: torch.device,
-    low_share: float | None = None,
-) -> Tensor:
-    """Noise levels `(count,)`, stratified: log s uniform in [log s_min, 0], or uniform in both
-    parts with a share of the levels below `LOW_LEVEL`.
-    """
-    jitter = torch.rand(count, generator=generator, device=device)
-    uniform = (torch.arange(count, device=device) + jitter) / count
-    lowest = math.log(s_min)
-    if low_share is None or s_min >= LOW_LEVEL:
-        return torch.exp(lowest * uniform)
-    border, high = math.log(LOW_LEVEL), 1.0 - low_share
-    above = border * uniform / high
-    below = border + (lowest - border) * (uniform - high) / max(low_share, 1e-9)
-    return torch.exp(torch.where(uniform < high, above, below))
 
 
 def nearest_copies(rotation: Tensor, noisy: Tensor, fold: Tensor) -> Tensor:
@@ -119,7 +95,9 @@ def scene_losses(
         # Levels are even within each gripper, whose share of the poses is small.
         level = torch.cat(
             [
-                draw_levels(len(part), schedule.s_min, generator, device, config.low_levels)
+                schedule.random_levels(
+                    len(part), generator, low_share=config.low_levels, device=device
+                )
                 for part in batch.positives.values()
             ]
         )

@@ -11,14 +11,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import torch
 
-from megrasp_core.diffusion import NoiseSchedule
+from megrasp_core.diffusion import LOW_LEVEL, NoiseSchedule
 from megrasp_core.grippers import GripperTokens, is_procedural
 from megrasp_core.network import GraspModel
 from megrasp_core.pointcloud import SceneSettings
 
 from .batching import scene_batch
 from .config import TrainConfig
-from .losses import LOW_LEVEL, scene_losses
+from .losses import scene_losses
 from .scenes import TrainingEntry
 
 BANDS = {"low": (0.0, LOW_LEVEL), "middle": (LOW_LEVEL, 0.3), "high": (0.3, 1.0)}

@@ -1,6 +1,7 @@
 """The procedural family: grippers drawn at random, so that networks learn geometry, not names."""
 
-from .parameters import FamilyParameters, draw_parameters
+from .draw import draw_parameters
+from .parameters import FamilyParameters
 from .rack import is_procedural, load_procedural, procedural_gripper_name, procedural_rack
 from .ranges import FAMILY_KINDS, RANGES
 from .sample import build_gripper, sample_gripper

@@ -7,12 +7,10 @@ height over the mounting face. Angles are positive where the finger leans outwar
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+from .parameters import FamilyParameters
 from .ranges import LINKAGE, SLIDE
-
-if TYPE_CHECKING:
-    from .parameters import FamilyParameters
 
 # The clear width counts over this height about the TCP.
 PATCH = 0.008

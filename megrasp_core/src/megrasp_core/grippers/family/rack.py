@@ -11,7 +11,7 @@ from pathlib import Path
 
 from megrasp_core.grippers.gripper import Gripper
 
-from .parameters import draw_parameters
+from .draw import draw_parameters
 from .ranges import FAMILY_KINDS
 from .sample import name_of, sample_gripper
 from .writing import write_gripper

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from .draw import draw_parameters
 from .finger import Link, finger_links
 from .motion import Kinematics, kinematics
 from .palm import palm_parts
-from .parameters import FamilyParameters, Placement, draw_parameters
+from .parameters import FamilyParameters, Placement
 from .ranges import CENTRIC, CROSS, SLIDE, TWO_ONE
 from .shapes import Part, about_z, add_geoms, add_meshes, numbers, turned
 

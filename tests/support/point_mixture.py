@@ -12,10 +12,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from megrasp_core.diffusion import NoiseSchedule, target
 from megrasp_core.lie import igso3, so3
-
-from .forward import target
-from .schedule import NoiseSchedule
 
 
 @dataclass(frozen=True)
@@ -26,7 +24,7 @@ class PointMixture:
         rotation: (K, 3, 3).
         translation: (K, 3), metres.
         weight: (K,), sums to 1.
-        schedule: diffusion process.
+        schedule: noise sizes.
     """
 
     rotation: Tensor
