@@ -19,7 +19,15 @@ def labels(rng: np.random.Generator, count: int, objects: int) -> GripperLabels:
     owner = rng.integers(0, objects, count).astype(np.int16)
     extra = np.where(label == 1, rng.integers(0, objects, count), NOT_TRIED).astype(np.int8)
     robust = np.where(label == 1, rng.integers(NOT_TRIED, ROBUST_TRIALS + 1, count), NOT_TRIED)
-    return GripperLabels(pose, owner, label, kind, reason, extra, robust.astype(np.int8))
+    return GripperLabels(
+        world_from_tcp=pose,
+        object=owner,
+        label=label,
+        kind=kind,
+        reason=reason,
+        extra=extra,
+        robust=robust.astype(np.int8),
+    )
 
 
 def record(seed: int, *, in_bin: bool = True) -> SceneRecord:

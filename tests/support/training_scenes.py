@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from megrasp_core.storage import GripperLabels, SceneRecord, SceneWriter
+from megrasp_core.storage import GripperLabels, Kind, SceneRecord, SceneWriter
 
 GRIPPER = "robotiq_2f85"
 TRIED, HELD = 30, 20
@@ -22,13 +22,13 @@ def labels(seed: int, owners: int = 2) -> GripperLabels:
     turn = Rotation.random(TRIED, random_state=seed).as_quat()
     number = np.arange(TRIED)
     owner = np.where(number < 2, 0, 1 + number % max(1, owners - 1))
-    return GripperLabels(
-        np.hstack([where, turn]).astype(np.float32),
-        np.minimum(owner, owners - 1).astype(np.int16),
-        (number < HELD).astype(np.int8),
-        np.zeros(TRIED, np.int8),
-        np.full(TRIED, "", np.str_),
-        np.zeros(TRIED, np.int8),
+    return GripperLabels.of(
+        np.hstack([where, turn]),
+        object=np.minimum(owner, owners - 1),
+        label=number < HELD,
+        kind=Kind.LIBRARY,
+        reason="",
+        extra=0,
     )
 
 

@@ -111,7 +111,7 @@ def test_wrong_files_are_named(tmp_path):
 def test_far_grasps_are_refused_not_wrapped(tmp_path):
     entry = grasp_set("jaw", "a", 3, 0)
     entry.object_from_tcp[1, 0] = 0.5
-    with pytest.raises(DataError, match=r"0\.32 m"):
+    with pytest.raises(DataError, match=r"0\.328 m"):
         pack_library(GraspLibrary([entry]), tmp_path / "packed")
     assert not (tmp_path / "packed").exists()
 

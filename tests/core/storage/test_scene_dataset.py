@@ -257,8 +257,7 @@ def test_the_target_is_the_share_that_held_where_it_is_known():
     expected = [one.label[0], 0.0, 0.25, 0.5, 0.75, 1.0, one.label[6]]
     assert known.target.tolist() == expected and known.target.dtype == np.float32
     assert len(GripperLabels.empty().target) == 0
-    fields = (one.world_from_tcp, one.object, one.label, one.kind, one.reason, one.extra)
-    assert GripperLabels(*fields).robust.tolist() == [NOT_TRIED] * 7
-    joined = GripperLabels.joined([known, GripperLabels(*fields)])
+    untried = replace(one, robust=GripperLabels.not_tried(7))
+    joined = GripperLabels.joined([known, untried])
     assert joined.robust.tolist() == [*known.robust, *[NOT_TRIED] * 7]
     assert joined.part(joined.robust > 2).target.tolist() == [0.75, 1.0]

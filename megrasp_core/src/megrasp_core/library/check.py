@@ -10,9 +10,10 @@ import numpy as np
 from megrasp_core.errors import MegraspError
 from megrasp_core.grippers import load_gripper
 from megrasp_core.storage import DamagedError, GraspSet, open_npz, unfinished
+from megrasp_core.storage.codec import QUATERNION
 from megrasp_core.storage.integrity import Finding, Progress
 
-from .grasp_library import QUATERNION, library_files, pair_file, read_sets
+from .grasp_library import library_files, pair_file, read_sets
 
 
 def verify_library(path: str | Path, on_progress: Progress | None = None) -> list[Finding]:

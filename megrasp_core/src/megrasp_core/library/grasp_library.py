@@ -20,11 +20,16 @@ from megrasp_core.grippers import load_gripper
 from megrasp_core.storage import (
     DamagedError,
     GraspSet,
+    TextCodes,
     open_npz,
+    pack_positions,
+    pack_quaternions,
     packed_npz,
     set_aside,
     text_array,
     text_of,
+    texts_of,
+    unpack_poses,
     write_bytes,
     write_npz,
 )
@@ -32,7 +37,6 @@ from megrasp_core.storage.files import DAMAGED, listed
 
 log = logging.getLogger(__name__)
 
-QUATERNION = 32767.0
 _METRE = 1e-5
 _PACKED = "megrasp grasp library 2"
 
@@ -183,34 +187,33 @@ def load_library(path: str | Path) -> GraspLibrary:
 
 
 def _arrays(sets: list[GraspSet]) -> dict[str, np.ndarray]:
-    reasons = sorted({str(reason) for entry in sets for reason in entry.reason})
-    code = {reason: index for index, reason in enumerate(reasons)}
+    reason = [reason for entry in sets for reason in entry.reason]
+    reasons = TextCodes.sorted(reason)
     meta = {
         "format": _PACKED,
-        "reasons": reasons,
+        "reasons": reasons.names,
         "sets": [
             [e.gripper, e.gripper_hash, e.object_name, e.drawn, e.tried, len(e.success)]
             for e in sets
         ],
     }
     poses = np.concatenate([e.object_from_tcp for e in sets] or [np.zeros((0, 7))])
-    if len(poses) and np.abs(poses[:, :3]).max() > 32767 * _METRE:
+    try:
+        position = pack_positions(poses[:, :3], _METRE)
+    except ValueError as error:
         raise DataError(
-            "a grasp lies more than 0.32 m from its object's centre; expected graspable objects. "
-            "Leave larger "
-            "objects out of the library."
-        )
+            f"{error}, its object's centre; expected graspable objects. Leave larger objects out "
+            "of the library."
+        ) from error
     return {
         "meta": text_array(json.dumps(meta)),
-        "position": np.rint(poses[:, :3] / _METRE).astype(np.int16),
-        "quaternion": np.rint(poses[:, 3:] * QUATERNION).astype(np.int16),
+        "position": position,
+        "quaternion": pack_quaternions(poses[:, 3:]),
         "success": np.concatenate([e.success for e in sets] or [np.zeros(0, bool)]),
         "quality": np.rint(
             255.0 * np.concatenate([e.quality for e in sets] or [np.zeros(0)])
         ).astype(np.uint8),
-        "reason": np.array(
-            [code[str(reason)] for entry in sets for reason in entry.reason], np.uint8
-        ),
+        "reason": reasons.codes(reason).astype(np.uint8),
     }
 
 
@@ -236,10 +239,10 @@ def read_sets(path: Path) -> list[GraspSet]:
                 "folder."
             )
         try:
-            poses = np.hstack([file["position"] * _METRE, file["quaternion"] / QUATERNION])
+            poses = unpack_poses(file["position"], file["quaternion"], _METRE)
             success = file["success"]
             quality = file["quality"].astype(np.float32) / 255.0
-            reason = np.array([*meta["reasons"], ""], np.str_)[file["reason"]]
+            reason = texts_of(meta["reasons"], file["reason"])
             sets = meta["sets"]
             counts = [int(entry[5]) for entry in sets]
             shapes = [part.shape for part in (success, quality, reason)]
@@ -247,8 +250,6 @@ def read_sets(path: Path) -> list[GraspSet]:
                 raise ValueError(f"it does not hold the {sum(counts)} grasps that it counts")
         except (KeyError, ValueError, TypeError, IndexError) as error:
             raise DamagedError.of(path, error) from error
-    norm = np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
-    poses[:, 3:] /= np.maximum(norm, 1e-9)
     ends = np.cumsum(counts, dtype=int)
     return [
         GraspSet(

@@ -19,12 +19,18 @@ from megrasp_core.objects import ObjectSet
 from megrasp_core.storage import (
     GripperLabels,
     SceneRecord,
+    TextCodes,
     bin_fields,
     bin_from_fields,
     open_npz,
     pack_normals,
+    pack_positions,
+    pack_quaternions,
+    split,
     text_array,
     text_of,
+    texts_of,
+    unpack_poses,
     write_npz,
 )
 
@@ -35,7 +41,6 @@ _FORMAT = "megrasp scene recipes 2"
 _READABLE = ("megrasp scene recipes 1", _FORMAT)
 """The first keeps the inner size of a bin and nothing else of it."""
 _METRE = 2e-5
-_QUATERNION = 32767.0
 
 
 def write_recipes(path: str | Path, records: Iterable[SceneRecord]) -> int:
@@ -58,30 +63,28 @@ def write_recipes(path: str | Path, records: Iterable[SceneRecord]) -> int:
         obstacles.append(record.obstacle)
         labels.extend(record.labels[name] for name in grippers)
     joined = GripperLabels.joined(labels)
-    reasons = sorted({str(reason) for reason in joined.reason})
-    code = {reason: index for index, reason in enumerate(reasons)}
+    reasons = TextCodes.sorted(joined.reason)
     grasp = joined.world_from_tcp.astype(np.float64)
-    position = np.rint(grasp[:, :3] / _METRE)
-    if len(grasp) and np.abs(position).max() > 32767:
+    try:
+        position = pack_positions(grasp[:, :3], _METRE)
+    except ValueError as error:
         raise DataError(
-            "a grasp lies more than 0.65 m from the origin; expected scenes on or around the "
-            "origin. Leave that "
-            "scene out."
-        )
+            f"{error}; expected scenes on or around the origin. Leave that scene out."
+        ) from error
     write_npz(
         Path(path),
         {
             "meta": text_array(
-                json.dumps({"format": _FORMAT, "reasons": reasons, "scenes": scenes})
+                json.dumps({"format": _FORMAT, "reasons": reasons.names, "scenes": scenes})
             ),
             "object_poses": np.concatenate(poses),
             "obstacle": np.concatenate(obstacles),
-            "position": position.astype(np.int16),
-            "quaternion": np.rint(grasp[:, 3:] * _QUATERNION).astype(np.int16),
+            "position": position,
+            "quaternion": pack_quaternions(grasp[:, 3:]),
             "object": joined.object.astype(np.uint8),
             "label": joined.label,
             "kind": joined.kind,
-            "reason": np.array([code[str(reason)] for reason in joined.reason], np.uint8),
+            "reason": reasons.codes(joined.reason).astype(np.uint8),
             "extra": joined.extra,
             "robust": joined.robust,
         },
@@ -99,38 +102,33 @@ def read_recipes(path: str | Path) -> list[SceneRecord]:
         try:
             arrays = {key: file[key] for key in file.files}
             meta = json.loads(text_of(arrays["meta"]))
-            grasp = np.hstack(
-                [arrays["position"] * _METRE, arrays["quaternion"] / _QUATERNION]
-            ).astype(np.float32)
+            grasp = unpack_poses(arrays["position"], arrays["quaternion"], _METRE)
         except (KeyError, ValueError) as error:
             raise DataError(
                 f"{path} holds no scene recipes ({error}). Give a recipe file."
             ) from error
     if meta.get("format") not in _READABLE:
         raise DataError(f"{path} has format {meta.get('format')!r}; expected one of {_READABLE}.")
-    norm = np.linalg.norm(grasp[:, 3:], axis=1, keepdims=True)
-    grasp[:, 3:] /= np.maximum(norm, 1e-6)
-    reason = np.array([*meta["reasons"], ""], np.str_)[arrays["reason"]]
+    reason = texts_of(meta["reasons"], arrays["reason"])
     # Recipes made before they were kept have no such arrays.
     extra, robust = (
         arrays.get(name, GripperLabels.not_tried(len(reason))) for name in ("extra", "robust")
     )
     joined = GripperLabels(
-        grasp,
-        arrays["object"].astype(np.int16),
-        arrays["label"],
-        arrays["kind"],
-        reason,
-        extra,
-        robust,
+        world_from_tcp=grasp.astype(np.float32),
+        object=arrays["object"].astype(np.int16),
+        label=arrays["label"],
+        kind=arrays["kind"],
+        reason=reason,
+        extra=extra,
+        robust=robust,
     )
     records, first, start = [], 0, 0
     for scene in meta["scenes"]:
         last = first + len(scene["objects"])
-        labels: dict[str, GripperLabels] = {}
-        for name, count in scene["grippers"].items():
-            labels[name] = joined.part(slice(start, start + count))
-            start += count
+        count = sum(scene["grippers"].values())
+        labels = split(joined.part(slice(start, start + count)), scene["grippers"])
+        start += count
         records.append(
             SceneRecord(
                 name=scene["name"],

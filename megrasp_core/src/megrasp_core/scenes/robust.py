@@ -16,7 +16,7 @@ from __future__ import annotations
 import time
 import zlib
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import mujoco
@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 from megrasp_core.errors import InvalidRequestError
 from megrasp_core.grippers import Gripper
-from megrasp_core.lie import matrix_from_pose7, pose7_from_matrix
+from megrasp_core.lie import matrix_from_pose7
 from megrasp_core.objects import ObjectSet
 from megrasp_core.simulation import Reason, Variation, Verdict, build_world, judge, varied
 from megrasp_core.storage import NOT_TRIED, ROBUST_TRIALS, GripperLabels, Kind, SceneRecord
@@ -292,23 +292,15 @@ class _Trier:
 def _plain(pose: NDArray[np.float64], owner: int, verdict: Verdict) -> GripperLabels:
     """The label of a near miss; `owner` is what it was made for."""
     tried = verdict.reason.value not in COLLISIONS
-    return GripperLabels(
-        np.asarray(pose7_from_matrix(pose[None]), np.float32),
-        np.array([owner if verdict.target is None else verdict.target], np.int16),
-        np.array([verdict.success], np.int8),
-        np.array([Kind.PERTURBED], np.int8),
-        np.array(["" if verdict.success else verdict.reason.value], np.str_),
-        np.array([verdict.extra if tried else NOT_TRIED], np.int8),
+    return GripperLabels.of(
+        pose[None],
+        object=owner if verdict.target is None else verdict.target,
+        label=verdict.success,
+        kind=Kind.PERTURBED,
+        reason="" if verdict.success else verdict.reason.value,
+        extra=verdict.extra if tried else NOT_TRIED,
     )
 
 
 def _with_robust(one: GripperLabels, held: int) -> GripperLabels:
-    return GripperLabels(
-        one.world_from_tcp,
-        one.object,
-        one.label,
-        one.kind,
-        one.reason,
-        one.extra,
-        np.array([held], np.int8),
-    )
+    return replace(one, robust=np.array([held], np.int8))

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from megrasp_core.grippers import Gripper
 from megrasp_core.library import GraspLibrary
-from megrasp_core.lie import matrix_from_pose7, pose7_from_matrix
+from megrasp_core.lie import matrix_from_pose7
 from megrasp_core.objects import ObjectSet
 from megrasp_core.simulation import judge
 from megrasp_core.storage import GripperLabels, Kind
@@ -75,7 +75,13 @@ class SceneLabeller:
                     np.asarray(matrix_from_pose7(judged.world_from_tcp[held])),
                     judged.object[held],
                 ),
-                _labels(colliding.pose, colliding.object, 0, Kind.COLLISION, colliding.reason),
+                GripperLabels.of(
+                    colliding.pose,
+                    object=colliding.object,
+                    label=0,
+                    kind=Kind.COLLISION,
+                    reason=colliding.reason,
+                ),
             ]
         )
 
@@ -107,7 +113,9 @@ class SceneLabeller:
             if verdict.success and verdict.target is not None:
                 owner[index] = verdict.target
         self._reset()
-        return _labels(grasps.pose, owner, label, kind, reason, extra)
+        return GripperLabels.of(
+            grasps.pose, object=owner, label=label, kind=kind, reason=reason, extra=extra
+        )
 
     def _reset(self) -> None:
         """Back to the settled scene, nothing asleep: a trial must not depend on the one before."""
@@ -129,7 +137,9 @@ class SceneLabeller:
         return GripperLabels.joined(
             [
                 self._judged(tested.part(free), Kind.PERTURBED),
-                _labels(hit.pose, hit.object, 0, Kind.PERTURBED, hit.reason),
+                GripperLabels.of(
+                    hit.pose, object=hit.object, label=0, kind=Kind.PERTURBED, reason=hit.reason
+                ),
             ]
         )
 
@@ -166,30 +176,11 @@ def _inherited(
     position = {int(group): index for index, group in enumerate(free.group[trials])}
     copies = np.setdiff1d(np.flatnonzero(np.isin(free.group, free.group[trials])), trials)
     source = np.array([position[int(free.group[index])] for index in copies], np.int64)
-    return _labels(
+    return GripperLabels.of(
         free.pose[copies],
-        judged.object[source],
-        judged.label[source],
-        Kind.JUDGED,
-        judged.reason[source],
-        judged.extra[source],
-    )
-
-
-def _labels(
-    pose: Poses,
-    owner: NDArray[np.integer],
-    label: int | NDArray[np.int8],
-    kind: Kind,
-    reason: NDArray[np.str_],
-    extra: NDArray[np.int8] | None = None,
-) -> GripperLabels:
-    count = len(owner)
-    return GripperLabels(
-        np.asarray(pose7_from_matrix(pose), np.float32).reshape(-1, 7),
-        owner.astype(np.int16),
-        np.broadcast_to(np.asarray(label, np.int8), (count,)).copy(),
-        np.full(count, int(kind), np.int8),
-        reason,
-        GripperLabels.not_tried(count) if extra is None else extra,
+        object=judged.object[source],
+        label=judged.label[source],
+        kind=Kind.JUDGED,
+        reason=judged.reason[source],
+        extra=judged.extra[source],
     )

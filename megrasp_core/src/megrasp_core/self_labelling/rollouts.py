@@ -220,11 +220,11 @@ def _labels(
         near if verdict.target is None else present.index(verdict.target)
         for near, verdict in zip(nearest.tolist(), verdicts)
     ]
-    return GripperLabels(
-        np.asarray(pose7_from_matrix(poses), np.float32).reshape(-1, 7),
-        np.array(owner, np.int16),
-        np.array([verdict.success for verdict in verdicts], np.int8),
-        np.full(len(grasps), int(Kind.SAMPLED), np.int8),
-        np.array(["" if v.success else v.reason.value for v in verdicts], np.str_),
-        np.array([verdict.extra for verdict in verdicts], np.int8),
+    return GripperLabels.of(
+        poses,
+        object=owner,
+        label=[verdict.success for verdict in verdicts],
+        kind=Kind.SAMPLED,
+        reason=["" if v.success else v.reason.value for v in verdicts],
+        extra=[verdict.extra for verdict in verdicts],
     )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from megrasp_core.diffusion import NoiseSchedule, SamplerSettings, last_step, sample_steps
 from megrasp_core.grippers import Gripper, load_gripper
-from megrasp_core.lie import matrix_from_pose7, pose7_from_matrix
+from megrasp_core.lie import matrix_from_pose7
 from megrasp_core.network import GraspModel
 from megrasp_core.objects import ObjectSet
 from megrasp_core.pointcloud import SceneSettings
@@ -131,13 +131,13 @@ def judge_poses(
         nearest = int(np.linalg.norm(centres - world_from_tcp[index, :3, 3], axis=1).argmin())
         rows.append((index, nearest, 0, "start_collision", NOT_TRIED))
     chosen = np.array([row[0] for row in rows], dtype=int)
-    return GripperLabels(
-        np.asarray(pose7_from_matrix(world_from_tcp[chosen]), np.float32).reshape(-1, 7),
-        np.array([row[1] for row in rows], np.int16),
-        np.array([row[2] for row in rows], np.int8),
-        np.full(len(rows), int(Kind.SAMPLED), np.int8),
-        np.array([row[3] for row in rows], np.str_),
-        np.array([row[4] for row in rows], np.int8),
+    return GripperLabels.of(
+        world_from_tcp[chosen],
+        object=[row[1] for row in rows],
+        label=[row[2] for row in rows],
+        kind=Kind.SAMPLED,
+        reason=[row[3] for row in rows],
+        extra=[row[4] for row in rows],
     )
 
 

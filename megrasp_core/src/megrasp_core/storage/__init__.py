@@ -2,6 +2,14 @@
 costs a finished scene, read so that no damage goes unnoticed.
 """
 
+from .codec import (
+    TextCodes,
+    pack_positions,
+    pack_quaternions,
+    split,
+    texts_of,
+    unpack_poses,
+)
 from .device_pack import DevicePack, verify_pack
 from .device_packing import PackSettings, PackSource, write_pack
 from .files import (
@@ -35,6 +43,12 @@ from .scene_writer import SceneWriter
 from .training_scenes import TrainingScene, open_scenes
 
 __all__ = [
+    "TextCodes",
+    "pack_positions",
+    "pack_quaternions",
+    "split",
+    "texts_of",
+    "unpack_poses",
     "DamagedError",
     "DevicePack",
     "GraspSet",

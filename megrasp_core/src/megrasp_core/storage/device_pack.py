@@ -19,13 +19,13 @@ from safetensors import SafetensorError, safe_open
 
 from megrasp_core.errors import DataError
 
+from .codec import split, texts_of, unpack_poses
 from .files import text_of
 from .packed_scene import PackedScene
 from .records import GripperLabels, bin_from_fields
 
 FORMAT = "megrasp device pack 1"
 SUFFIX = ".mgpack"
-QUATERNION = 32767.0
 LAYOUT = {
     "origin": ("F32", 3),
     "step": ("F32", 0),
@@ -176,33 +176,27 @@ class DevicePack(Sequence[PackedScene]):
             raise ValueError(f"{sum(counts.values())} labels named, {last - first} kept")
         if first == last:
             return {name: GripperLabels.empty() for name in counts}
-        reasons = np.array([*self.meta["reasons"], ""], np.str_)
-        frames = self._frames
-        quaternion = self._part("quaternion", first, last).astype(np.float64) / QUATERNION
-        quaternion /= np.maximum(np.linalg.norm(quaternion, axis=1, keepdims=True), 1e-6)
-        position = self._part("position", first, last).astype(np.float64)
-        position = frames["origin"][index] + float(frames["step"][index]) * position
-        pose = np.hstack([position, quaternion]).astype(np.float32)
+        pose = unpack_poses(
+            self._part("position", first, last),
+            self._part("quaternion", first, last),
+            float(self._frames["step"][index]),
+            self._frames["origin"][index],
+        )
         outcome = self._part("outcome", first, last).astype(np.int8)
         owner = self._part("object", first, last).astype(np.int16)
         robust = GripperLabels.not_tried(last - first)
         if "robust" in self._optional:
             robust = self._part("robust", first, last)
         joined = GripperLabels(
-            pose,
-            owner,
-            outcome & 1,
-            outcome >> 1,
-            reasons[self._part("reason", first, last)],
-            GripperLabels.not_tried(last - first),
-            robust,
+            world_from_tcp=pose.astype(np.float32),
+            object=owner,
+            label=outcome & 1,
+            kind=outcome >> 1,
+            reason=texts_of(self.meta["reasons"], self._part("reason", first, last)),
+            extra=GripperLabels.not_tried(last - first),
+            robust=robust,
         )
-        labels: dict[str, GripperLabels] = {}
-        start = 0
-        for name, count in counts.items():
-            labels[name] = joined.part(slice(start, start + count))
-            start += count
-        return labels
+        return split(joined, counts)
 
 
 def verify_pack(path: str | Path) -> list[str]:

@@ -16,7 +16,8 @@ from megrasp_core.errors import DataError, InvalidRequestError
 from megrasp_core.meshes import farthest_points
 from megrasp_core.pointcloud import SceneSettings, choose_nodes, node_counts
 
-from .device_pack import FORMAT, OPTIONAL, QUATERNION, digest
+from .codec import TextCodes, pack_quaternions
+from .device_pack import FORMAT, OPTIONAL, digest
 from .files import text_array, write_bytes
 from .packed_scene import node_choice, pack_octahedral
 from .records import NOT_TRIED, GripperLabels, SceneRecord, bin_fields
@@ -77,7 +78,7 @@ def write_pack(
         DataError: no scene at all, or one that a pack cannot hold.
     """
     settings = settings or PackSettings()
-    reasons, objects = _Codes(), _Codes()
+    reasons, objects = TextCodes(), TextCodes()
     parts: list[dict[str, np.ndarray]] = []
     scenes: list[dict[str, Any]] = []
     origins: list[dict[str, Any]] = []
@@ -89,7 +90,7 @@ def write_pack(
                 {
                     "name": record.name,
                     "seed": record.seed,
-                    "objects": [objects[name] for name in record.object_names],
+                    "objects": [objects.code(name) for name in record.object_names],
                     "bin": bin_fields(record.bin),
                     "grippers": {name: len(record.labels[name]) for name in sorted(record.labels)},
                 }
@@ -128,20 +129,6 @@ def write_pack(
     data = save({**arrays, **optional}, metadata={"format": FORMAT})
     write_bytes(Path(path), data)
     return len(data)
-
-
-class _Codes:
-    """Numbers for texts, given out in the order of their first use."""
-
-    def __init__(self) -> None:
-        self.names: list[str] = []
-        self._code: dict[str, int] = {}
-
-    def __getitem__(self, name: str) -> int:
-        if name not in self._code:
-            self._code[name] = len(self.names)
-            self.names.append(name)
-        return self._code[name]
 
 
 def kept_points(
@@ -185,9 +172,9 @@ def _surface(record: SceneRecord, settings: PackSettings) -> dict[str, np.ndarra
     }
 
 
-def _labels(record: SceneRecord, reasons: _Codes) -> dict[str, np.ndarray]:
+def _labels(record: SceneRecord, reasons: TextCodes) -> dict[str, np.ndarray]:
     joined = GripperLabels.joined([record.labels[name] for name in sorted(record.labels)])
-    code = np.array([reasons[str(reason)] for reason in joined.reason], np.int64)
+    code = reasons.codes(joined.reason)
     limits = (("object", joined.object, 255), ("reason", code, 255), ("kind", joined.kind, 127))
     for name, values, most in limits:
         if len(values) and not 0 <= values.min() <= values.max() <= most:
@@ -198,7 +185,7 @@ def _labels(record: SceneRecord, reasons: _Codes) -> dict[str, np.ndarray]:
     pose = joined.world_from_tcp.astype(np.float64)
     return {
         "position": pose[:, :3],
-        "quaternion": np.rint(np.clip(pose[:, 3:], -1, 1) * QUATERNION).astype(np.int16),
+        "quaternion": pack_quaternions(pose[:, 3:]),
         "object": joined.object.astype(np.uint8),
         "outcome": ((joined.label == 1) | (joined.kind.astype(np.uint8) << 1)).astype(np.uint8),
         "reason": code.astype(np.uint8),

@@ -6,13 +6,14 @@ metres; the TCP frame has +Z as approach and +X as closing axis (DESIGN section 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from enum import IntEnum
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from megrasp_core.lie import pose7_from_matrix
 from megrasp_core.pointcloud import (
     SceneNodes,
     SceneSettings,
@@ -81,11 +82,8 @@ NOT_TRIED = -1
 ROBUST_TRIALS = 4
 """So often a grasp is tried again for its robust label (DESIGN section 5)."""
 
-_NOBODY_SAID = np.zeros(0, np.int8)
-"""Stands for NOT_TRIED throughout where `GripperLabels` is made without `robust`."""
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GripperLabels:
     """Labels of one gripper in one scene.
 
@@ -97,7 +95,7 @@ class GripperLabels:
         reason: (K,) str, why it failed; "" for successes.
         extra: (K,) int8, objects lifted besides the target (`Verdict.extra`), or NOT_TRIED.
         robust: (K,) int8, how many of ROBUST_TRIALS under other conditions it held
-            (`robust_labels.py`), or NOT_TRIED, which all are where it is not given.
+            (`scenes.robust_labels`), or NOT_TRIED.
     """
 
     world_from_tcp: NDArray[np.float32]
@@ -106,11 +104,38 @@ class GripperLabels:
     kind: NDArray[np.int8]
     reason: NDArray[np.str_]
     extra: NDArray[np.int8]
-    robust: NDArray[np.int8] = field(default_factory=lambda: _NOBODY_SAID)
+    robust: NDArray[np.int8]
 
-    def __post_init__(self) -> None:
-        if self.robust is _NOBODY_SAID:
-            object.__setattr__(self, "robust", self.not_tried(len(self)))
+    @classmethod
+    def of(
+        cls,
+        world_from_tcp: NDArray[np.floating],
+        *,
+        object: ArrayLike,
+        label: ArrayLike,
+        kind: Kind,
+        reason: ArrayLike,
+        extra: ArrayLike = NOT_TRIED,
+        robust: ArrayLike = NOT_TRIED,
+    ) -> GripperLabels:
+        """Labels of poses (K, 4, 4) or (K, 7); everything else is of length K, or one for all."""
+        poses = np.asarray(world_from_tcp)
+        if poses.ndim == 3:
+            poses = np.asarray(pose7_from_matrix(poses)).reshape(-1, 7)
+        count = len(poses)
+
+        def filled(value: ArrayLike, dtype: type[np.generic]) -> NDArray[Any]:
+            return np.broadcast_to(np.asarray(value, dtype), (count,)).copy()
+
+        return cls(
+            world_from_tcp=poses.astype(np.float32),
+            object=filled(object, np.int16),
+            label=filled(label, np.int8),
+            kind=filled(int(kind), np.int8),
+            reason=filled(reason, np.str_),
+            extra=filled(extra, np.int8),
+            robust=filled(robust, np.int8),
+        )
 
     def __len__(self) -> int:
         return len(self.label)
@@ -125,41 +150,20 @@ class GripperLabels:
 
     def part(self, index: NDArray[np.integer] | NDArray[np.bool_] | slice) -> GripperLabels:
         """The rows of `index`."""
-        return GripperLabels(
-            self.world_from_tcp[index],
-            self.object[index],
-            self.label[index],
-            self.kind[index],
-            self.reason[index],
-            self.extra[index],
-            self.robust[index],
-        )
+        return GripperLabels(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
-    @staticmethod
-    def empty() -> GripperLabels:
+    @classmethod
+    def empty(cls) -> GripperLabels:
         """No label at all."""
-        return GripperLabels(
-            np.zeros((0, 7), np.float32),
-            np.zeros(0, np.int16),
-            np.zeros(0, np.int8),
-            np.zeros(0, np.int8),
-            np.zeros(0, np.str_),
-            np.zeros(0, np.int8),
-        )
+        return cls.of(np.zeros((0, 7)), object=0, label=0, kind=Kind.JUDGED, reason="")
 
-    @staticmethod
-    def joined(parts: list[GripperLabels]) -> GripperLabels:
+    @classmethod
+    def joined(cls, parts: list[GripperLabels]) -> GripperLabels:
         """The labels of `parts`, one after another."""
         if not parts:
-            return GripperLabels.empty()
-        return GripperLabels(
-            np.concatenate([p.world_from_tcp for p in parts]).astype(np.float32),
-            np.concatenate([p.object for p in parts]).astype(np.int16),
-            np.concatenate([p.label for p in parts]).astype(np.int8),
-            np.concatenate([p.kind for p in parts]).astype(np.int8),
-            np.concatenate([p.reason for p in parts]),
-            np.concatenate([p.extra for p in parts]).astype(np.int8),
-            np.concatenate([p.robust for p in parts]).astype(np.int8),
+            return cls.empty()
+        return cls(
+            **{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)}
         )
 
     @staticmethod

@@ -19,6 +19,7 @@ import numpy as np
 
 from megrasp_core.errors import DataError
 
+from .codec import TextCodes, split, texts_of
 from .files import DamagedError, NpzFile, listed, open_npz, read_json, text_array, text_of
 from .records import GripperLabels, SceneRecord, bin_fields, bin_from_fields
 
@@ -36,9 +37,8 @@ def record_arrays(record: SceneRecord, prefix: str = "") -> dict[str, np.ndarray
     """A record as plain arrays, keys starting with `prefix`."""
     grippers = sorted(record.labels)
     labels = [record.labels[name] for name in grippers]
-    reasons = sorted({str(reason) for part in labels for reason in part.reason})
-    code = {reason: index for index, reason in enumerate(reasons)}
     joined = GripperLabels.joined(labels)
+    reasons = TextCodes.sorted(joined.reason)
     meta = {
         "name": record.name,
         "seed": record.seed,
@@ -46,7 +46,7 @@ def record_arrays(record: SceneRecord, prefix: str = "") -> dict[str, np.ndarray
         "bin": bin_fields(record.bin),
         "grippers": grippers,
         "counts": [len(part) for part in labels],
-        "reasons": reasons,
+        "reasons": reasons.names,
     }
     arrays = {
         "meta": text_array(json.dumps(meta, sort_keys=True)),
@@ -60,7 +60,7 @@ def record_arrays(record: SceneRecord, prefix: str = "") -> dict[str, np.ndarray
         "object": joined.object,
         "label": joined.label,
         "kind": joined.kind,
-        "reason": np.array([code[str(reason)] for reason in joined.reason], np.uint8),
+        "reason": reasons.codes(joined.reason).astype(np.uint8),
         "extra": joined.extra,
         "robust": joined.robust,
     }
@@ -71,21 +71,22 @@ def record_from_arrays(file: Any, prefix: str = "") -> SceneRecord:
     """The record kept by `record_arrays`; `file` is a mapping or an open .npz."""
     meta = json.loads(text_of(file[prefix + "meta"]))
     view = file[prefix + "view"]
-    reasons = np.array([*meta["reasons"], ""], np.str_)
-    pose, owner = file[prefix + "world_from_tcp"], file[prefix + "object"]
-    label, kind = file[prefix + "label"], file[prefix + "kind"]
-    reason = reasons[file[prefix + "reason"]]
+    label = file[prefix + "label"]
     # Scenes made before they were kept have no such arrays.
     extra, robust = (
         file[prefix + name] if prefix + name in file else GripperLabels.not_tried(len(label))
         for name in ("extra", "robust")
     )
-    joined = GripperLabels(pose, owner, label, kind, reason, extra, robust)
-    labels: dict[str, GripperLabels] = {}
-    start = 0
-    for name, count in zip(meta["grippers"], meta["counts"]):
-        labels[name] = joined.part(slice(start, start + count))
-        start += count
+    joined = GripperLabels(
+        world_from_tcp=file[prefix + "world_from_tcp"],
+        object=file[prefix + "object"],
+        label=label,
+        kind=file[prefix + "kind"],
+        reason=texts_of(meta["reasons"], file[prefix + "reason"]),
+        extra=extra,
+        robust=robust,
+    )
+    labels = split(joined, dict(zip(meta["grippers"], meta["counts"], strict=True)))
     return SceneRecord(
         name=meta["name"],
         seed=int(meta["seed"]),
