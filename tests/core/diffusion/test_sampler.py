@@ -19,7 +19,7 @@ from megrasp_core.diffusion import (
     target,
 )
 from megrasp_core.errors import CancelledError, InvalidRequestError
-from megrasp_core.lie import so3
+from megrasp_core.lie import PoseBatch, so3
 
 F64 = torch.float64
 
@@ -30,8 +30,11 @@ def _single(count: int, schedule: NoiseSchedule):
     rotation = so3.random_rotation(1, generator=generator, dtype=F64)
     translation = torch.tensor([[0.1, -0.2, 0.05]], dtype=F64)
 
-    def denoise(r: torch.Tensor, t: torch.Tensor, s: torch.Tensor) -> torch.Tensor:
-        return target(rotation.expand_as(r), translation.expand_as(t), r, t, s, schedule)
+    def denoise(poses: PoseBatch, s: torch.Tensor) -> torch.Tensor:
+        clean = PoseBatch(
+            rotation.expand_as(poses.rotation), translation.expand_as(poses.translation)
+        )
+        return target(clean, poses, s, schedule)
 
     starts = translation + 0.1 * torch.randn(count, 3, generator=generator, dtype=F64)
     return denoise, rotation, translation, starts, generator
@@ -45,21 +48,25 @@ def test_one_target_is_reached(kind, restarts: int) -> None:
     choice = SamplerSettings(kind=kind, restarts=restarts)
     last = last_step(sample_steps(denoise, starts, choice, schedule, generator))
     assert last.s == 0 and last.index == last.total == 10 + 5 * restarts
-    torch.testing.assert_close(last.translation, translation.expand(200, 3), rtol=0, atol=1e-12)
-    torch.testing.assert_close(last.rotation, rotation.expand(200, 3, 3), rtol=0, atol=1e-12)
+    torch.testing.assert_close(
+        last.poses.translation, translation.expand(200, 3), rtol=0, atol=1e-12
+    )
+    torch.testing.assert_close(last.poses.rotation, rotation.expand(200, 3, 3), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["langevin", "probability_flow"])
 def test_score_samplers_reach_one_target(kind) -> None:
     schedule = NoiseSchedule()
     _, rotation, translation, starts, generator = _single(100, schedule)
-    mixture = PointMixture(rotation, translation, torch.ones(1, dtype=F64), schedule)
+    mixture = PointMixture(PoseBatch(rotation, translation), torch.ones(1, dtype=F64), schedule)
     choice = SamplerSettings(kind=kind, steps=20, restarts=0, langevin_inner=5)
     assert choice.uses_score
     last = last_step(sample_steps(mixture.scaled_score, starts, choice, schedule, generator))
-    torch.testing.assert_close(last.translation, translation.expand(100, 3), rtol=0, atol=1e-9)
+    torch.testing.assert_close(
+        last.poses.translation, translation.expand(100, 3), rtol=0, atol=1e-9
+    )
     # The last evaluation takes the score for the residual: exact to sigma^2/12 of 0.06 rad.
-    assert so3.angle(rotation.mT @ last.rotation).max() < 1e-3
+    assert so3.angle(rotation.mT @ last.poses.rotation).max() < 1e-3
 
 
 def test_default_counts_twenty_evaluations_at_the_grid_of_the_design() -> None:
@@ -67,10 +74,10 @@ def test_default_counts_twenty_evaluations_at_the_grid_of_the_design() -> None:
     denoise, _, _, starts, generator = _single(3, schedule)
     seen: list[float] = []
 
-    def counting(r: torch.Tensor, t: torch.Tensor, s: torch.Tensor) -> torch.Tensor:
-        assert s.shape == (3,) and r.shape == (3, 3, 3) and t.shape == (3, 3)
+    def counting(poses: PoseBatch, s: torch.Tensor) -> torch.Tensor:
+        assert s.shape == (3,) and poses.rotation.shape == (3, 3, 3)
         seen.append(float(s[0]))
-        return denoise(r, t, s)
+        return denoise(poses, s)
 
     steps = list(sample_steps(counting, starts, choice, schedule, generator))
     grid = [0.03 ** (k / 9) for k in range(10)]
@@ -100,8 +107,8 @@ def test_noise_between_steps_has_the_level_that_is_announced() -> None:
     checked = 0
     for step in descend(denoise, starts, choice, schedule, generator):
         if 0 < step.s < 0.3:
-            offset = (step.translation - translation) / (step.s * schedule.sigma_t)
-            turn = so3.log(rotation.mT @ step.rotation) / (step.s * schedule.sigma_r)
+            offset = (step.poses.translation - translation) / (step.s * schedule.sigma_t)
+            turn = so3.log(rotation.mT @ step.poses.rotation) / (step.s * schedule.sigma_r)
             assert offset.square().mean() == pytest.approx(1, abs=0.04)
             # Bridges on SO(3) are Gaussian only for small angles.
             allowed = 0.03 if step.s < 0.08 else 0.1
@@ -114,16 +121,14 @@ def test_descend_then_a_subset_then_refine() -> None:
     schedule, choice = NoiseSchedule(), SamplerSettings()
     denoise, rotation, _, starts, generator = _single(50, schedule)
     first = last_step(descend(denoise, starts, choice, schedule, generator))
-    assert first.total == choice.descend_evaluations == 10 and first.rotation.shape[0] == 50
+    assert first.total == choice.descend_evaluations == 10 and len(first.poses) == 50
     keep = torch.arange(0, 50, 5)
-    steps = list(
-        refine(denoise, first.rotation[keep], first.translation[keep], choice, schedule, generator)
-    )
+    steps = list(refine(denoise, first.poses.part(keep), choice, schedule, generator))
     assert len(steps) == choice.refine_evaluations == 10
-    assert all(step.rotation.shape == (10, 3, 3) for step in steps)
+    assert all(step.poses.rotation.shape == (10, 3, 3) for step in steps)
     # The first restart really left the poses.
-    assert so3.angle(rotation.mT @ steps[0].rotation).mean() > 0.05
-    assert so3.angle(rotation.mT @ steps[-1].rotation).max() < 1e-10
+    assert so3.angle(rotation.mT @ steps[0].poses.rotation).mean() > 0.05
+    assert so3.angle(rotation.mT @ steps[-1].poses.rotation).max() < 1e-10
 
 
 def test_cancelling_stops_within_one_step() -> None:
@@ -131,9 +136,9 @@ def test_cancelling_stops_within_one_step() -> None:
     denoise, _, _, starts, generator = _single(4, schedule)
     calls: list[float] = []
 
-    def counting(r: torch.Tensor, t: torch.Tensor, s: torch.Tensor) -> torch.Tensor:
+    def counting(poses: PoseBatch, s: torch.Tensor) -> torch.Tensor:
         calls.append(float(s[0]))
-        return denoise(r, t, s)
+        return denoise(poses, s)
 
     progress: list[SamplerStep] = []
     with pytest.raises(CancelledError, match="step 3 of 20"):
@@ -157,8 +162,8 @@ def test_same_generator_same_samples_and_global_state_is_untouched() -> None:
     for seed in (3, 3, 4):
         generator = torch.Generator().manual_seed(seed)
         runs.append(list(descend(denoise, starts, choice, schedule, generator))[3])
-    assert torch.equal(runs[0].rotation, runs[1].rotation)
-    assert not torch.equal(runs[0].rotation, runs[2].rotation)
+    assert torch.equal(runs[0].poses.rotation, runs[1].poses.rotation)
+    assert not torch.equal(runs[0].poses.rotation, runs[2].poses.rotation)
     assert torch.equal(state, torch.get_rng_state())
 
 
@@ -176,7 +181,7 @@ def test_samples_move_with_the_world(kind) -> None:
     start_t = 0.1 * torch.randn(30, 3, generator=generator, dtype=F64)
     ends = []
     for turn, shift in ((torch.eye(3, dtype=F64), torch.zeros(3, dtype=F64)), (q, u)):
-        mixture = PointMixture(turn @ modes, places @ turn.T + shift, weight, schedule)
+        mixture = PointMixture(PoseBatch(turn @ modes, places @ turn.T + shift), weight, schedule)
         steps = descend(
             mixture.residual,
             start_t @ turn.T + shift,
@@ -186,9 +191,11 @@ def test_samples_move_with_the_world(kind) -> None:
             rotation=turn @ start_r,
         )
         ends.append(list(steps)[6])
-    torch.testing.assert_close(ends[1].rotation, q @ ends[0].rotation, rtol=0, atol=1e-9)
     torch.testing.assert_close(
-        ends[1].translation, ends[0].translation @ q.T + u, rtol=0, atol=1e-9
+        ends[1].poses.rotation, q @ ends[0].poses.rotation, rtol=0, atol=1e-9
+    )
+    torch.testing.assert_close(
+        ends[1].poses.translation, ends[0].poses.translation @ q.T + u, rtol=0, atol=1e-9
     )
 
 
@@ -196,13 +203,13 @@ def test_rotations_stay_on_the_group_in_float32() -> None:
     schedule = NoiseSchedule()
     generator = torch.Generator().manual_seed(5)
 
-    def noise(r: torch.Tensor, t: torch.Tensor, s: torch.Tensor) -> torch.Tensor:
-        return torch.randn(len(t), 6, generator=generator)
+    def noise(poses: PoseBatch, s: torch.Tensor) -> torch.Tensor:
+        return torch.randn(len(poses), 6, generator=generator)
 
     choice = SamplerSettings(steps=500, restarts=20, restart_steps=25)
     last = last_step(sample_steps(noise, torch.zeros(64, 3), choice, schedule, generator))
-    assert last.total == 1000 and last.rotation.dtype == torch.float32
-    error = last.rotation.mT @ last.rotation - torch.eye(3)
+    assert last.total == 1000 and last.poses.rotation.dtype == torch.float32
+    error = last.poses.rotation.mT @ last.poses.rotation - torch.eye(3)
     assert error.abs().max() < 1e-6
 
 
@@ -210,11 +217,11 @@ def test_no_gradient_is_recorded_and_low_precision_residuals_are_taken() -> None
     schedule = NoiseSchedule()
     weight = torch.ones(6, requires_grad=True)
 
-    def denoise(r: torch.Tensor, t: torch.Tensor, s: torch.Tensor) -> torch.Tensor:
+    def denoise(poses: PoseBatch, s: torch.Tensor) -> torch.Tensor:
         return (weight * s[:, None]).bfloat16()
 
     last = last_step(sample_steps(denoise, torch.zeros(4, 3), SamplerSettings(), schedule))
-    assert not last.rotation.requires_grad and last.translation.dtype == torch.float32
+    assert not last.poses.rotation.requires_grad and last.poses.translation.dtype == torch.float32
     assert torch.is_grad_enabled()
 
 
@@ -225,15 +232,15 @@ def test_autocast_around_the_sampler_does_not_touch_poses() -> None:
         generator = torch.Generator().manual_seed(3)
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=enabled):
             steps = sample_steps(
-                lambda r, t, s: torch.full((5, 6), 0.3),
+                lambda poses, s: torch.full((5, 6), 0.3),
                 torch.ones(5, 3),
                 SamplerSettings(),
                 schedule,
                 generator,
             )
             ends.append(last_step(steps))
-    assert torch.equal(ends[0].rotation, ends[1].rotation)
-    assert torch.equal(ends[0].translation, ends[1].translation)
+    assert torch.equal(ends[0].poses.rotation, ends[1].poses.rotation)
+    assert torch.equal(ends[0].poses.translation, ends[1].poses.translation)
 
 
 @pytest.mark.parametrize(
@@ -258,13 +265,12 @@ def test_bad_starts_are_named_before_the_first_step() -> None:
     with pytest.raises(InvalidRequestError, match="starts"):
         descend(denoise, torch.zeros(3), choice, schedule)
     with pytest.raises(InvalidRequestError, match="expected"):
-        refine(denoise, torch.zeros(2, 3), torch.zeros(2, 3), choice, schedule)
+        refine(denoise, PoseBatch(torch.zeros(2, 3), torch.zeros(2, 3)), choice, schedule)
     with pytest.raises(InvalidRequestError, match="without steps"):
         last_step(
             refine(
                 denoise,
-                torch.eye(3).expand(2, 3, 3),
-                torch.zeros(2, 3),
+                PoseBatch(torch.eye(3).expand(2, 3, 3), torch.zeros(2, 3)),
                 SamplerSettings(restarts=0),
                 schedule,
             )
@@ -276,8 +282,7 @@ def _share(settings: SamplerSettings, count: int) -> float:
     schedule = NoiseSchedule()
     half_turn = so3.exp(torch.tensor([0, 0, math.pi]))
     mixture = PointMixture(
-        torch.stack([torch.eye(3), half_turn]),
-        torch.zeros(2, 3),
+        PoseBatch(torch.stack([torch.eye(3), half_turn]), torch.zeros(2, 3)),
         torch.tensor([0.8, 0.2]),
         schedule,
     )
@@ -285,8 +290,8 @@ def _share(settings: SamplerSettings, count: int) -> float:
     generator = torch.Generator().manual_seed(1)
     steps = sample_steps(denoise, torch.zeros(count, 3), settings, schedule, generator)
     last = last_step(steps)
-    mode = mixture.nearest(last.rotation, last.translation)
-    turn = so3.angle(mixture.rotation[mode].mT @ last.rotation)
+    mode = mixture.nearest(last.poses)
+    turn = so3.angle(mixture.poses.rotation[mode].mT @ last.poses.rotation)
     assert turn.max() < 0.01, "a sample between the modes"
     return float((mode == 0).float().mean())
 

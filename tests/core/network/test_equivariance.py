@@ -12,7 +12,7 @@ from network_scenes import motions, moved, on_flat, scene, tokens
 from scipy.spatial.transform import Rotation
 
 from megrasp_core.errors import InvalidRequestError
-from megrasp_core.lie import wigner
+from megrasp_core.lie import PoseBatch, wigner
 from megrasp_core.network import PRESETS, GraspModel, ModelConfig, build_graph
 from megrasp_core.network.convolution import (
     Block,
@@ -92,13 +92,13 @@ def _model(dtype: torch.dtype, config: ModelConfig = PRESETS["tiny"]) -> GraspMo
     return shaken(GraspModel(config), dtype).eval()
 
 
-def _poses(count: int, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor]:
+def _poses(count: int, dtype: torch.dtype) -> PoseBatch:
     rotation = Rotation.random(count, random_state=5).as_matrix()
     # Identity and top-down poses are where an Euler-angle Wigner D breaks.
     rotation[0] = np.eye(3)
     rotation[1] = np.diag([1.0, -1.0, -1.0])
     shift = np.random.default_rng(5).uniform(-0.1, 0.1, (count, 3))
-    return torch.as_tensor(rotation, dtype=dtype), torch.as_tensor(shift, dtype=dtype)
+    return PoseBatch(torch.as_tensor(rotation, dtype=dtype), torch.as_tensor(shift, dtype=dtype))
 
 
 @torch.no_grad()
@@ -125,23 +125,25 @@ def test_prediction_is_invariant_in_the_tcp_frame(dtype, gravity):
         nodes.gravity[:] = 0.0
     graph = build_graph(nodes, model.config)
     code = model.encode_gripper(tokens(model.config.gripper_tokens))
-    rotation, translation = _poses(12, dtype)
+    poses = _poses(12, dtype)
     s = torch.linspace(0.03, 1.0, 12, dtype=dtype)
 
-    def heads(nodes, rotation, translation):
+    def heads(nodes, poses):
         field = model.encode_scene(nodes, graph)
-        prediction = model.predict(field, code, rotation, translation, s)
-        confidence = model.confidence(field, code, rotation, translation)
+        prediction = model.predict(field, code, poses, s)
+        confidence = model.confidence(field, code, poses)
         return prediction.residual, prediction.score, confidence, model.graspability(field, code)
 
-    still = heads(nodes, rotation, translation)
+    still = heads(nodes, poses)
     assert still[0].std(0).min() > 1e-3, "the prediction must depend on the pose to test anything"
     for turn, shift in motions(3, seed=2):
         d = torch.as_tensor(turn, dtype=dtype)
         now = heads(
             moved(nodes, turn, shift),
-            d @ rotation,
-            translation @ d.T + torch.as_tensor(shift, dtype=dtype),
+            PoseBatch(
+                d @ poses.rotation,
+                poses.translation @ d.T + torch.as_tensor(shift, dtype=dtype),
+            ),
         )
         for a, b in zip(now, still):
             assert relative(a, b) < TOLERANCE[dtype]
@@ -152,16 +154,14 @@ def test_prediction_sees_gravity_and_scene():
     model, nodes = _model(torch.float64), scene()
     graph = build_graph(nodes, model.config)
     code = model.encode_gripper(tokens(model.config.gripper_tokens))
-    rotation, translation = _poses(6, torch.float64)
+    poses = _poses(6, torch.float64)
     s = torch.full((6,), 0.3, dtype=torch.float64)
     field = model.encode_scene(nodes, graph)
-    still = model.predict(field, code, rotation, translation, s).residual
+    still = model.predict(field, code, poses, s).residual
     nodes.gravity[:] = [1.0, 0.0, 0.0]
-    tilted = model.predict(
-        model.encode_scene(nodes, graph), code, rotation, translation, s
-    ).residual
+    tilted = model.predict(model.encode_scene(nodes, graph), code, poses, s).residual
     other = model.encode_gripper(tokens(model.config.gripper_tokens, seed=9))
-    swapped = model.predict(field, other, rotation, translation, s).residual
+    swapped = model.predict(field, other, poses, s).residual
     assert relative(tilted, still) > 1e-3
     assert relative(swapped, still) > 1e-3
 

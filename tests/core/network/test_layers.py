@@ -8,6 +8,7 @@ from e3nn import o3
 from network_scenes import on_flat, scene, tokens
 
 from megrasp_core.errors import InvalidRequestError
+from megrasp_core.lie import PoseBatch
 from megrasp_core.network import PRESETS, GraspModel, GripperCode, load_model, precision
 from megrasp_core.network.convolution import (
     SELF_PATHS,
@@ -217,12 +218,11 @@ def test_low_precision_stays_close():
     nodes = scene()
     field = model.encode_scene(nodes)
     code = model.encode_gripper(tokens(model.config.gripper_tokens))
-    rotation = torch.eye(3).expand(10, 3, 3)
-    translation = torch.as_tensor(nodes.points[:10])
+    poses = PoseBatch(torch.eye(3).expand(10, 3, 3), torch.as_tensor(nodes.points[:10]))
     s = torch.full((10,), 0.1)
-    exact = model.predict(field, code, rotation, translation, s).residual
+    exact = model.predict(field, code, poses, s).residual
     model.low_precision = True
-    rounded = model.predict(field, code, rotation, translation, s).residual
+    rounded = model.predict(field, code, poses, s).residual
     assert not torch.equal(exact, rounded)
     assert (exact - rounded).abs().max() < 0.05 * exact.abs().max()
 
@@ -233,13 +233,10 @@ def test_one_gripper_a_pose_gives_what_each_gripper_gives():
     model, nodes = GraspModel(PRESETS["tiny"]).eval(), scene()
     field = model.encode_scene(nodes)
     codes = model.encode_grippers([tokens(8, seed=1), tokens(8, seed=2)])
-    rotation = torch.eye(3).expand(5, 3, 3)
-    translation = torch.as_tensor(nodes.points[:5])
+    poses = PoseBatch(torch.eye(3).expand(5, 3, 3), torch.as_tensor(nodes.points[:5]))
     s = torch.full((5,), 0.2)
-    together = model.predict(
-        field, GripperCode.of_poses(codes, [2, 3]), rotation, translation, s
-    ).residual
+    together = model.predict(field, GripperCode.of_poses(codes, [2, 3]), poses, s).residual
     for code, part in ((codes[0], slice(0, 2)), (codes[1], slice(2, 5))):
-        alone = model.predict(field, code, rotation[part], translation[part], s[part]).residual
+        alone = model.predict(field, code, poses.part(part), s[part]).residual
         assert torch.allclose(together[part], alone, atol=1e-5)
     assert not torch.allclose(together[0], together[2], atol=1e-4)

@@ -11,6 +11,7 @@ from network_scenes import scene, tokens
 
 from megrasp_core.diffusion import SamplerSettings
 from megrasp_core.errors import ModelError
+from megrasp_core.lie import PoseBatch
 from megrasp_core.network import PRESETS, GraspModel, load_model, save_model
 from megrasp_core.pointcloud import SceneSettings
 from megrasp_core.ranking import Calibration
@@ -28,7 +29,7 @@ def test_round_trip_predicts_the_same(folder):
     made, loaded = GraspModel(PRESETS["tiny"]).eval(), load_model(folder)
     assert loaded.model_id == "tiny-test"
     nodes, gripper = scene(), tokens(8)
-    args = (torch.eye(3)[None], torch.zeros(1, 3), torch.ones(1))
+    args = (PoseBatch(torch.eye(3)[None], torch.zeros(1, 3)), torch.ones(1))
     outs = [
         model.predict(model.encode_scene(nodes), model.encode_gripper(gripper), *args).residual
         for model in (made, loaded)

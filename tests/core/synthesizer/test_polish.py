@@ -15,7 +15,7 @@ WALL = 0.104
 """Poses whose x is beyond this collide."""
 
 
-def assess(tcp: np.ndarray, contacts: bool) -> tuple[PoseSet, Assessment]:
+def assess(tcp: np.ndarray, contacts: bool) -> Assessment:
     """The score falls with the distance from GOAL; beyond WALL points hit."""
     n = len(tcp)
     beyond = np.clip(tcp[:, 0, 3] - WALL, 0.0, None)
@@ -31,7 +31,8 @@ def assess(tcp: np.ndarray, contacts: bool) -> tuple[PoseSet, Assessment]:
         tilt=np.zeros(n),
     )
     score = np.exp(-np.linalg.norm(tcp[:, :3, 3] - GOAL, axis=1) / 0.02)
-    return PoseSet(tcp.copy(), tcp.copy(), tcp.copy()), Assessment(check, None, score, score)
+    poses = PoseSet(tcp.copy(), tcp.copy(), tcp.copy())
+    return Assessment(poses, check, None, score, score)
 
 
 def samples(count: int = 6, seed: int = 0) -> np.ndarray:
@@ -47,25 +48,25 @@ def polished(tcp, **options):
 
 def test_no_sample_gets_worse_and_the_best_get_better():
     tcp = samples()
-    before = promises(assess(tcp, True)[1])
-    poses, assessment = polished(tcp)
+    before = promises(assess(tcp, True))
+    assessment = polished(tcp)
     after = promises(assessment)
     assert (after >= before - 1e-9).all()
     assert after.max() > before.max() + 0.3
     assert (after > before).sum() <= 3
-    again = assess(poses.tcp, True)[1]
+    again = assess(assessment.poses.tcp, True)
     np.testing.assert_allclose(again.score, assessment.score)
 
 
 def test_a_colliding_sample_is_moved_out():
     tcp = samples(1)
     tcp[0, :3, 3] = GOAL + np.array([0.008, 0.0, 0.0])
-    assert assess(tcp, True)[1].check.reason[0] == "collision"
-    assert polished(tcp)[1].check.passed[0]
+    assert assess(tcp, True).check.reason[0] == "collision"
+    assert polished(tcp).check.passed[0]
 
 
 def test_moves_are_rigid():
-    rotation = polished(samples())[0].tcp[:, :3, :3]
+    rotation = polished(samples()).poses.tcp[:, :3, :3]
     np.testing.assert_allclose(
         rotation @ rotation.transpose(0, 2, 1), np.tile(np.eye(3), (6, 1, 1)), atol=1e-12
     )
@@ -74,7 +75,7 @@ def test_moves_are_rigid():
 def test_nothing_is_done_without_candidates_or_rounds():
     tcp = samples()
     for options in ({"candidates": 0}, {"rounds": 0}):
-        np.testing.assert_array_equal(polished(tcp, **options)[0].tcp, tcp)
+        np.testing.assert_array_equal(polished(tcp, **options).poses.tcp, tcp)
 
 
 def test_bad_settings_are_named():

@@ -153,9 +153,9 @@ def test_only_the_best_go_through_the_restarts(model, monkeypatch):
     sizes = []
     real = GraspModel.predict
 
-    def predict(self, scene, code, rotation, translation, s):
+    def predict(self, scene, code, poses, s):
         sizes.append(len(s))
-        return real(self, scene, code, rotation, translation, s)
+        return real(self, scene, code, poses, s)
 
     monkeypatch.setattr(GraspModel, "predict", predict)
     synthesizer = GraspSynthesizer(model, "robotiq_2f85", settings=SynthesizerSettings(refined=4))

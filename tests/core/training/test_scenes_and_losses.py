@@ -118,7 +118,7 @@ def test_draws_depend_on_the_generator_alone(entries):
     one, two = (source(entries).draw(np.random.default_rng([1, 5, 0])) for _ in range(2))
     assert np.array_equal(one.nodes.points, two.nodes.points)
     for name, poses in one.positives.items():
-        assert torch.equal(poses.rotation, two.positives[name].rotation)
+        assert torch.equal(poses.poses.rotation, two.positives[name].poses.rotation)
 
 
 def test_grippers_get_their_shares():
@@ -135,7 +135,7 @@ def test_batch_is_centred_like_its_nodes(entries):
     nodes, graph = entry.nodes(SceneSettings(), CONFIG.network)
     batch = scene_batch(nodes, graph, entry.tables, CONFIG, np.random.default_rng(0))
     stored = entry.tables[GRIPPER].translation
-    drawn = batch.positives[GRIPPER].translation.numpy() + batch.nodes.centroid
+    drawn = batch.positives[GRIPPER].poses.translation.numpy() + batch.nodes.centroid
     gap = np.linalg.norm(drawn[:, None] - stored[None], axis=-1).min(1)
     assert gap.max() < 1e-6
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -83,17 +84,21 @@ def synthesize(
     from megrasp_core.synthesizer import GraspSynthesizer, SynthesisRequest
 
     # Before anything slow is loaded: bad numbers are told at once.
-    SynthesisRequest(
+    request = SynthesisRequest(
         num_grasps=num_grasps,
         drawn=drawn,
-        gravity=np.asarray(down),
+        mode="fast" if fast else "default",
+        gravity=down,
+        region=box,
+        walls=walls,
         max_tilt=max_tilt,
         approach_distance=approach_distance,
         approach_direction=approach_direction,
         seed=seed,
+        keep_all=all,
     )
     points = read_cloud(cloud)
-    place = _sensor(points, frame, sensor, down)
+    request = dataclasses.replace(request, sensor=_sensor(points, frame, sensor, down))
     synthesizer = GraspSynthesizer.load(model, gripper, device=device, threads=threads)
     with progress_bar(None, "synthesize") as bar:
 
@@ -102,22 +107,7 @@ def synthesize(
             bar.n = step
             bar.set_description(phase)
 
-        result = synthesizer.synthesize(
-            points,
-            num_grasps=num_grasps,
-            drawn=drawn,
-            mode="fast" if fast else "default",
-            gravity=down,
-            sensor=place,
-            region=box,
-            walls=walls,
-            max_tilt=max_tilt,
-            approach_distance=approach_distance,
-            approach_direction=approach_direction,
-            seed=seed,
-            keep_all=all,
-            on_step=tell,
-        )
+        result = synthesizer.synthesize(points, request, on_step=tell)
     _report(result)
     if out is not None:
         result.write_json(out, frame)

@@ -11,19 +11,18 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from megrasp_core.lie import full_precision, igso3, so3
+from megrasp_core.lie import PoseBatch, full_precision, igso3, so3
 
 from .schedule import NoiseSchedule
 
 
 @full_precision
 def perturb(
-    rotation: Tensor,
-    translation: Tensor,
+    poses: PoseBatch,
     s: Tensor,
     schedule: NoiseSchedule,
     generator: torch.Generator | None = None,
-) -> tuple[Tensor, Tensor]:
+) -> PoseBatch:
     """Noisy poses (R_s, t_s) at the levels s.
 
     t_s = t_0 + s sigma_t R_0 eps, R_s = R_0 Exp(w n) with w n ~ IGSO3(s sigma_r). The translation
@@ -31,55 +30,41 @@ def perturb(
     states noise turns with the pose.
 
     Args:
-        rotation: (..., 3, 3) R_0.
-        translation: (..., 3) t_0 (m).
+        poses: (R_0, t_0) of shape (...).
         s: (...) levels.
         schedule: noise sizes.
         generator: on the device of the poses.
     """
-    eps = torch.randn(
-        translation.shape,
-        generator=generator,
-        dtype=translation.dtype,
-        device=translation.device,
-    )
+    rotation, place = poses.rotation, poses.translation
+    eps = torch.randn(place.shape, generator=generator, dtype=place.dtype, device=place.device)
     offset = (schedule.sigma_t * s)[..., None] * eps
-    noisy_translation = translation + (rotation @ offset[..., None]).squeeze(-1)
+    moved = place + (rotation @ offset[..., None]).squeeze(-1)
     turn = igso3.sample(schedule.sigma_r * s, generator)
-    return rotation @ so3.exp(turn), noisy_translation
+    return PoseBatch(rotation @ so3.exp(turn), moved)
 
 
 @full_precision
-def target(
-    rotation: Tensor,
-    translation: Tensor,
-    noisy_rotation: Tensor,
-    noisy_translation: Tensor,
-    s: Tensor,
-    schedule: NoiseSchedule,
-) -> Tensor:
+def target(poses: PoseBatch, noisy: PoseBatch, s: Tensor, schedule: NoiseSchedule) -> Tensor:
     """Residual y (..., 6) that leads from the noisy pose to the clean one.
 
     y = [R_s^T (t_0 - t_s) / (s sigma_t), Log(R_s^T R_0) / (s sigma_r)]; loss mean |F - y|^2.
     """
-    back = noisy_rotation.transpose(-1, -2)
-    offset = (back @ (translation - noisy_translation)[..., None]).squeeze(-1)
-    turn = so3.log(back @ rotation)
+    back = noisy.rotation.transpose(-1, -2)
+    offset = (back @ (poses.translation - noisy.translation)[..., None]).squeeze(-1)
+    turn = so3.log(back @ poses.rotation)
     return torch.cat(
         [offset / (schedule.sigma_t * s)[..., None], turn / (schedule.sigma_r * s)[..., None]], -1
     )
 
 
 @full_precision
-def score_target(
-    rotation: Tensor, noisy_rotation: Tensor, s: Tensor, schedule: NoiseSchedule
-) -> Tensor:
+def score_target(poses: PoseBatch, noisy: PoseBatch, s: Tensor, schedule: NoiseSchedule) -> Tensor:
     """Target (..., 3) of the rotation score head: s sigma_r (d log f/dw)(w; s sigma_r) n.
 
     w n = Log(R_0^T R_s): the derivative of the log density along body-frame turns of the noisy
     pose, in units of the level's noise. For s sigma_r <= 0.5 it equals the residual within 2 %.
     """
-    turn = so3.log(rotation.transpose(-1, -2) @ noisy_rotation)
+    turn = so3.log(poses.rotation.transpose(-1, -2) @ noisy.rotation)
     return scaled_rotation_score(turn, schedule.sigma_r * s)
 
 

@@ -11,22 +11,22 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from megrasp_core.errors import CancelledError, InvalidRequestError
-from megrasp_core.lie import full_precision, igso3, so3
+from megrasp_core.lie import PoseBatch, full_precision, igso3, so3
 
 from .forward import perturb
 from .schedule import NoiseSchedule
 from .settings import SamplerSettings
 
-Denoise = Callable[[Tensor, Tensor, Tensor], Tensor]
-"""(R (P, 3, 3), t (P, 3), s (P,)) -> (P, 6): the residual; where `SamplerSettings.uses_score`, its
-last three numbers are the rotation score head's instead."""
+Denoise = Callable[[PoseBatch, Tensor], Tensor]
+"""(P poses, levels (P,)) -> (P, 6): the residual; where `SamplerSettings.uses_score`, its last
+three numbers are the rotation score head's instead."""
 
 
 @dataclass(frozen=True)
@@ -37,15 +37,13 @@ class SamplerStep:
         index: evaluations done so far, from 1.
         total: evaluations of the iterator this step comes from.
         s: noise level of these poses; 0.0 once they are samples.
-        rotation: (P, 3, 3).
-        translation: (P, 3), metres.
+        poses: P of them.
     """
 
     index: int
     total: int
     s: float
-    rotation: Tensor
-    translation: Tensor
+    poses: PoseBatch
 
 
 def sample_steps(
@@ -59,12 +57,12 @@ def sample_steps(
     total = settings.evaluations
     last: SamplerStep | None = None
     for step in descend(denoise, starts, settings, schedule, generator):
-        last = SamplerStep(step.index, total, step.s, step.rotation, step.translation)
+        last = replace(step, total=total)
         yield last
     assert last is not None
     done = last.index
-    for step in refine(denoise, last.rotation, last.translation, settings, schedule, generator):
-        yield SamplerStep(done + step.index, total, step.s, step.rotation, step.translation)
+    for step in refine(denoise, last.poses, settings, schedule, generator):
+        yield replace(step, index=done + step.index, total=total)
 
 
 def descend(
@@ -94,12 +92,14 @@ def descend(
     if starts.ndim != 2 or starts.shape[-1] != 3:
         raise InvalidRequestError(f"got starts of shape {tuple(starts.shape)}; expected (P, 3)")
     _check(starts, settings, schedule, generator)
-    if rotation is None:
-        rotation, starts = _draw_starts(starts, schedule, generator)
+    poses = (
+        _draw_starts(starts, schedule, generator)
+        if rotation is None
+        else PoseBatch(rotation, starts)
+    )
     return _walk(
         denoise,
-        rotation,
-        starts,
+        poses,
         settings,
         schedule,
         generator,
@@ -111,8 +111,7 @@ def descend(
 
 def refine(
     denoise: Denoise,
-    rotation: Tensor,
-    translation: Tensor,
+    poses: PoseBatch,
     settings: SamplerSettings,
     schedule: NoiseSchedule,
     generator: torch.Generator | None = None,
@@ -121,8 +120,7 @@ def refine(
 
     Args:
         denoise: see `Denoise`; may be built for these poses only.
-        rotation: (P, 3, 3) poses at s = 0, a subset of the descent's or all.
-        translation: (P, 3), metres.
+        poses: P poses at s = 0, a part of the descent's or all.
         settings: the sampler.
         schedule: the noise that the network was trained with.
         generator: on the device of the poses.
@@ -130,16 +128,16 @@ def refine(
     Raises:
         InvalidRequestError: as for `descend`.
     """
-    if translation.ndim != 2 or rotation.shape != (*translation.shape, 3):
+    rotation, place = poses.rotation, poses.translation
+    if place.ndim != 2 or rotation.shape != (*place.shape, 3):
         raise InvalidRequestError(
-            f"got rotations {tuple(rotation.shape)} and translations {tuple(translation.shape)}; "
+            f"got rotations {tuple(rotation.shape)} and translations {tuple(place.shape)}; "
             "expected (P, 3, 3) and (P, 3)"
         )
-    _check(translation, settings, schedule, generator)
+    _check(place, settings, schedule, generator)
     return _walk(
         denoise,
-        rotation,
-        translation,
+        poses,
         settings,
         schedule,
         generator,
@@ -188,21 +186,20 @@ def _check(
 
 def _draw_starts(
     starts: Tensor, schedule: NoiseSchedule, generator: torch.Generator | None
-) -> tuple[Tensor, Tensor]:
+) -> PoseBatch:
     rotation = so3.random_rotation(
         starts.shape[0], generator=generator, dtype=starts.dtype, device=starts.device
     )
     noise = torch.randn(
         starts.shape, generator=generator, dtype=starts.dtype, device=starts.device
     )
-    return rotation, starts + schedule.sigma_t * noise
+    return PoseBatch(rotation, starts + schedule.sigma_t * noise)
 
 
 @torch.no_grad()
 def _walk(
     denoise: Denoise,
-    rotation: Tensor,
-    translation: Tensor,
+    poses: PoseBatch,
     settings: SamplerSettings,
     schedule: NoiseSchedule,
     generator: torch.Generator | None,
@@ -213,21 +210,19 @@ def _walk(
 ) -> Iterator[SamplerStep]:
     """Descents from the levels `tops`, each over `steps` levels, one yield per evaluation."""
     index = 0
-    count = translation.shape[:1]
+    count = (len(poses),)
     for top in tops:
         if noise_first:
-            level = translation.new_full(count, top)
-            rotation, translation = perturb(rotation, translation, level, schedule, generator)
+            level = poses.translation.new_full(count, top)
+            poses = perturb(poses, level, schedule, generator)
         moves = list(_plan(settings, schedule, steps, top))
-        noise = _noise([move.noise for move in moves], translation, schedule, generator)
+        noise = _noise([move.noise for move in moves], poses.translation, schedule, generator)
         for k, move in enumerate(moves):
-            residual = denoise(rotation, translation, translation.new_full(count, move.s))
+            residual = denoise(poses, poses.translation.new_full(count, move.s))
             kick = None if noise is None else (noise[0][k], noise[1][k])
-            rotation, translation = _moved(
-                rotation, translation, residual, move.amount, kick, schedule
-            )
+            poses = _moved(poses, residual, move.amount, kick, schedule)
             index += 1
-            yield SamplerStep(index, total, move.after, rotation, translation)
+            yield SamplerStep(index, total, move.after, poses)
 
 
 class _Move(NamedTuple):
@@ -278,19 +273,19 @@ def _noise(
 
 @full_precision
 def _moved(
-    rotation: Tensor,
-    translation: Tensor,
+    poses: PoseBatch,
     residual: Tensor,
     amount: float,
     noise: tuple[Tensor, Tensor] | None,
     schedule: NoiseSchedule,
-) -> tuple[Tensor, Tensor]:
+) -> PoseBatch:
     """Poses after going `amount` (in levels) along the residual (P, 6) and taking the noise."""
-    residual = residual.to(translation.dtype)
+    rotation, place = poses.rotation, poses.translation
+    residual = residual.to(place.dtype)
     offset = (amount * schedule.sigma_t) * residual[:, :3]
     turned = rotation @ so3.exp((amount * schedule.sigma_r) * residual[:, 3:])
     if noise is not None:
         offset = offset + noise[0]
         turned = turned @ noise[1]
-    moved = translation + (rotation @ offset[..., None]).squeeze(-1)
-    return so3.orthonormalize(turned), moved
+    moved = place + (rotation @ offset[..., None]).squeeze(-1)
+    return PoseBatch(so3.orthonormalize(turned), moved)

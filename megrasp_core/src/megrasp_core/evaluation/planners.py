@@ -12,16 +12,16 @@ import numpy as np
 
 from megrasp_core.diffusion import SamplerSettings
 from megrasp_core.grippers import Gripper
-from megrasp_core.pointcloud import Cloud, SurfaceCloud, neighbours, scene_nodes, surface_cloud
+from megrasp_core.pointcloud import Cloud, SceneNodes, neighbours
 from megrasp_core.ranking import GripperProbe, gripper_probe
 from megrasp_core.synthesizer import (
     GraspSynthesizer,
-    SceneJudge,
     Synthesis,
     SynthesisRequest,
     SynthesizerSettings,
-    collect,
-    poses_of_tcp,
+    perceive,
+    pose_set,
+    rank_poses,
 )
 
 
@@ -99,18 +99,12 @@ class AntipodalPlanner:
     def plan(self, cloud: Cloud, **options: Any) -> Synthesis:
         """Candidates through the same check; `drawn` of them."""
         began = time.perf_counter()
-        request = SynthesisRequest(**{"gravity": (0.0, 0.0, -1.0), **options})
-        surface = surface_cloud(
-            cloud, sensor=request.sensor, gravity=request.gravity, region=request.region
-        )
-        judge = SceneJudge(surface, request, self._options.ranking)
-        rng = np.random.default_rng(request.seed)
-        tcp = self.candidates(surface, request.drawn, rng)
-        poses = poses_of_tcp(tcp, self.gripper, request)
-        assessment = judge.assess(poses, self._probe, None)
-        grasps, rejected = collect(
-            (poses, assessment), None, self._probe, request, self._options.ranking
-        )
+        request, ranking = SynthesisRequest.of(**options), self._options.ranking
+        seen = perceive(cloud, request, None, ranking)
+        tcp = self.candidates(seen.nodes, request.drawn, np.random.default_rng(request.seed))
+        poses = pose_set(tcp, self.gripper, request)
+        assessed = seen.judge.assess(poses, self._probe, None)
+        grasps, rejected = rank_poses(assessed, self._probe, request, ranking)
         return Synthesis(
             grasps=grasps,
             rejected=rejected,
@@ -122,12 +116,9 @@ class AntipodalPlanner:
             model=self.name,
         )
 
-    def candidates(
-        self, surface: SurfaceCloud, count: int, rng: np.random.Generator
-    ) -> np.ndarray:
+    def candidates(self, nodes: SceneNodes, count: int, rng: np.random.Generator) -> np.ndarray:
         """Draw `(count, 4, 4)` TCP poses in the frame of the cloud."""
-        down = np.array([0.0, 0.0, -1.0]) if surface.gravity is None else surface.gravity
-        nodes = scene_nodes(surface)
+        down = nodes.gravity.astype(np.float64) if nodes.gravity.any() else np.array([0, 0, -1.0])
         points = nodes.points.astype(np.float64) + nodes.centroid
         normals = nodes.normals.astype(np.float64)
         off = ~nodes.on_plane

@@ -1,10 +1,12 @@
 """Lie groups of grasp poses: SO(3), SE(3), Wigner D matrices, isotropic Gaussians on SO(3)."""
 
 from .pose import matrix_from_pose7, pose7_from_matrix
+from .pose_batch import PoseBatch
 from .precision import full_precision
 from .wigner import irreps_dim, rotate, wigner_d, wigner_matrices
 
 __all__ = [
+    "PoseBatch",
     "full_precision",
     "irreps_dim",
     "matrix_from_pose7",

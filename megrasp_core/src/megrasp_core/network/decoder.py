@@ -18,7 +18,7 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from megrasp_core.lie import wigner
+from megrasp_core.lie import PoseBatch, wigner
 
 from .config import ModelConfig
 from .convolution import gathered
@@ -187,10 +187,9 @@ class Decoder(nn.Module):
         self.compiled = False
         """Use compiled kernels where they can be used."""
 
-    def near_nodes(
-        self, field: SceneField, code: GripperCode, rotation: Tensor, translation: Tensor
-    ) -> NearNodes:
+    def near_nodes(self, field: SceneField, code: GripperCode, poses: PoseBatch) -> NearNodes:
         """The nodes that each pose looks at: those nearest to the posed gripper."""
+        rotation, translation = poses.rotation, poses.translation
         with torch.no_grad(), torch.autocast(rotation.device.type, enabled=False):
             inverse = rotation.transpose(1, 2)
             probes = code.probes @ inverse + translation[:, None]
@@ -269,8 +268,7 @@ class Decoder(nn.Module):
         self,
         field: SceneField,
         code: GripperCode,
-        rotation: Tensor,
-        translation: Tensor,
+        poses: PoseBatch,
         s: Tensor,
         near: NearNodes | None = None,
     ) -> Tensor:
@@ -279,18 +277,17 @@ class Decoder(nn.Module):
         Args:
             field: the scene.
             code: the gripper, or one gripper a pose.
-            rotation: `(P, 3, 3)` scene_from_tcp.
-            translation: `(P, 3)` m.
+            poses: P, scene_from_tcp.
             s: `(P,)` noise levels.
             near: the poses' nodes, where they are known already.
 
         Returns:
             `(P, 2 width)`.
         """
-        near = near or self.near_nodes(field, code, rotation, translation)
+        near = near or self.near_nodes(field, code, poses)
         scene = self.scene_tokens(field, near)
         time = self.time(s)
-        x = self.gripper(code.tokens).expand(len(rotation), -1, -1)
+        x = self.gripper(code.tokens).expand(len(poses), -1, -1)
         known = keys_and_values(self.blocks, scene)  # type: ignore[arg-type]
         for block, key_value in zip(self.blocks, known, strict=True):
             x = block(x, key_value, near.query, near.key, time)

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from megrasp_core.grippers import GripperTokens
+from megrasp_core.lie import PoseBatch
 from megrasp_core.pointcloud import SceneNodes, SurfacePoints
 
 from .config import ModelConfig
@@ -126,36 +127,28 @@ class GraspModel(nn.Module):
         )
 
     def predict(
-        self,
-        field: SceneField,
-        code: GripperCode,
-        rotation: Tensor,
-        translation: Tensor,
-        s: Tensor,
+        self, field: SceneField, code: GripperCode, poses: PoseBatch, s: Tensor
     ) -> Prediction:
         """Denoise poses.
 
         Args:
             field: the scene.
             code: the gripper.
-            rotation: `(P, 3, 3)` scene_from_tcp.
-            translation: `(P, 3)` m, centred scene coordinates.
+            poses: P, scene_from_tcp, centred scene coordinates.
             s: `(P,)` noise levels in `[s_min, 1]`.
         """
         with self._tokens():
-            feature = self.decoder(field, code, rotation, translation, s)
+            feature = self.decoder(field, code, poses, s)
         feature = feature.to(self.dtype)
         return Prediction(self.residual_head(feature), self.score_head(feature))
 
-    def confidence(
-        self, field: SceneField, code: GripperCode, rotation: Tensor, translation: Tensor
-    ) -> Tensor:
+    def confidence(self, field: SceneField, code: GripperCode, poses: PoseBatch) -> Tensor:
         """Logit `(P,)` that the verdict on these poses is success."""
-        s = torch.full((len(rotation),), self.config.s_min, dtype=self.dtype, device=self.device)
+        s = torch.full((len(poses),), self.config.s_min, dtype=self.dtype, device=self.device)
         with self._tokens():
-            near = self.decoder.near_nodes(field, code, rotation, translation)
-            shared = self.decoder(field, code, rotation, translation, s, near)
-            own = self.confidence_decoder(field, code, rotation, translation, s, near)
+            near = self.decoder.near_nodes(field, code, poses)
+            shared = self.decoder(field, code, poses, s, near)
+            own = self.confidence_decoder(field, code, poses, s, near)
         feature = torch.cat([shared, own], -1).to(self.dtype)
         return self.confidence_head(feature).squeeze(-1)
 

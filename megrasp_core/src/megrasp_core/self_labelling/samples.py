@@ -67,15 +67,13 @@ def draw_poses(
     generator = torch.Generator(model.device).manual_seed(settings.seed * 1_000_003 + record.seed)
     starts = draw_starts(model, field, code, settings.samples, generator)
     steps = sample_steps(
-        lambda rotation, translation, s: (
-            model.predict(field, code, rotation, translation, s).residual
-        ),
+        lambda poses, s: model.predict(field, code, poses, s).residual,
         starts,
         settings.sampler or model.info.sampler,
         schedule,
         generator,
     )
-    last = last_step(steps)
+    last = last_step(steps).poses
     poses = np.tile(np.eye(4), (settings.samples, 1, 1))
     poses[:, :3, :3] = last.rotation.cpu().double().numpy()
     poses[:, :3, 3] = last.translation.cpu().double().numpy() + nodes.centroid

@@ -1,22 +1,22 @@
-"""`GraspSynthesizer`: load a model, set a gripper, synthesize grasps for clouds (DESIGN sections 1
-and 6).
-"""
+"""`GraspSynthesizer`: load a model, set a gripper, synthesize grasps for clouds."""
 
-from .evaluate import Assessment, SceneJudge, seen_plane
-from .poses import PoseSet, pose_set, poses_of_tcp
+from .perception import Perceived, perceive
+from .poses import PoseSet, pose_set
 from .request import MAX_DRAWN, MAX_GRASPS, Mode, SynthesisRequest
 from .result import RankedGrasp, Synthesis
-from .selection import collect
+from .sampling import draw_starts
+from .scene_judge import Assessment, SceneJudge, seen_plane
+from .selection import rank_poses
 from .settings import PolishSettings, RankingSettings, SynthesizerSettings
-from .starts import draw_starts
 from .synthesizer import GraspSynthesizer
 
 __all__ = [
-    "Assessment",
-    "GraspSynthesizer",
     "MAX_DRAWN",
     "MAX_GRASPS",
+    "Assessment",
+    "GraspSynthesizer",
     "Mode",
+    "Perceived",
     "PolishSettings",
     "PoseSet",
     "RankedGrasp",
@@ -25,9 +25,9 @@ __all__ = [
     "Synthesis",
     "SynthesisRequest",
     "SynthesizerSettings",
-    "collect",
     "draw_starts",
+    "perceive",
     "pose_set",
-    "poses_of_tcp",
+    "rank_poses",
     "seen_plane",
 ]

@@ -16,13 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from megrasp_core.ranking import RankSettings, suppress_duplicates
 
-from .evaluate import Assessment
-from .poses import PoseSet
+from .scene_judge import Assessment
 from .settings import PolishSettings
 
 __all__ = ["polish", "promises"]
 
-Assessed = tuple[PoseSet, Assessment]
 T = TypeVar("T")
 
 REPAIRABLE = 3.0
@@ -33,17 +31,17 @@ HOPELESS = 12.0
 
 
 def polish(
-    samples: Assessed,
-    assess: Callable[[np.ndarray, bool], Assessed],
+    samples: Assessment,
+    assess: Callable[[np.ndarray, bool], Assessment],
     settings: PolishSettings,
     rng: np.random.Generator,
     symmetry: int = 1,
     rank: RankSettings | None = None,
-) -> Assessed:
+) -> Assessment:
     """Replace the most promising samples by better poses near them.
 
     Args:
-        samples: N poses and their assessment.
+        samples: N poses.
         assess: assessment of TCP poses (n, 4, 4), with contacts measured or not.
         settings: see `PolishSettings`.
         rng: of the moves.
@@ -53,14 +51,14 @@ def polish(
     Returns:
         N poses, each as it was or one that promises more.
     """
-    before = promises(samples[1])
+    before = promises(samples)
     order = np.argsort(-before, kind="stable")
-    repeats = suppress_duplicates(samples[0].tcp, before, symmetry, rank)
+    repeats = suppress_duplicates(samples.poses.tcp, before, symmetry, rank)
     chosen = order[~repeats[order]][: settings.candidates]
     if not len(chosen) or not settings.rounds:
         return samples
-    tcp, promise = samples[0].tcp[chosen], before[chosen]
-    contacts = samples[1].contacts
+    tcp, promise = samples.poses.tcp[chosen], before[chosen]
+    contacts = samples.contacts
     centring = None if contacts is None else np.nan_to_num(contacts.offset[chosen])
     for number in range(settings.rounds):
         moves = _moves(len(chosen), settings, settings.shrink**number, rng)
@@ -68,17 +66,14 @@ def polish(
             moves[:, 0] = np.eye(4)
             moves[:, 0, 0, 3] = centring
         tried = tcp[:, None] @ moves
-        gained = promises(assess(tried.reshape(-1, 4, 4), False)[1]).reshape(moves.shape[:2])
+        gained = promises(assess(tried.reshape(-1, 4, 4), False)).reshape(moves.shape[:2])
         best = gained.argmax(axis=1)
         better = gained.max(axis=1) > promise
         tcp[better] = tried[np.arange(len(chosen)), best][better]
         promise[better] = gained.max(axis=1)[better]
     polished = assess(tcp, True)
-    rows = np.flatnonzero(promises(polished[1]) > before[chosen])
-    return (
-        _with_rows(samples[0], chosen[rows], polished[0], rows),
-        _with_rows(samples[1], chosen[rows], polished[1], rows),
-    )
+    rows = np.flatnonzero(promises(polished) > before[chosen])
+    return _with_rows(samples, chosen[rows], polished, rows)
 
 
 def promises(assessment: Assessment) -> np.ndarray:

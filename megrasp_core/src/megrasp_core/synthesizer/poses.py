@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from torch import Tensor
+import torch
 
 from megrasp_core.grippers import Gripper
+from megrasp_core.lie import PoseBatch
 
 from .request import SynthesisRequest
 
-__all__ = ["PoseSet", "pose_set", "poses_of_tcp"]
+__all__ = ["PoseSet", "pose_set", "scene_from_tcp", "world_from_tcp"]
 
 
 @dataclass(frozen=True)
@@ -27,33 +28,28 @@ class PoseSet:
         return len(self.tcp)
 
 
-def pose_set(
-    rotation: Tensor,
-    translation: Tensor,
-    centroid: np.ndarray,
-    gripper: Gripper,
-    request: SynthesisRequest,
-) -> PoseSet:
-    """Add the centroid back, in float64, and derive gripper and approach poses.
-
-    Args:
-        rotation: (N, 3, 3) scene_from_tcp.
-        translation: (N, 3) centred scene coordinates (m).
-        centroid: (3,) float64.
-        gripper: whose TCP it is.
-        request: approach distance and direction, gravity.
-    """
-    tcp = np.tile(np.eye(4), (len(rotation), 1, 1))
-    tcp[:, :3, :3] = _orthonormal(rotation.detach().cpu().double().numpy())
-    tcp[:, :3, 3] = translation.detach().cpu().double().numpy() + centroid
-    return poses_of_tcp(tcp, gripper, request)
+def world_from_tcp(scene_from_tcp: PoseBatch, centroid: np.ndarray) -> np.ndarray:
+    """Poses (N, 4, 4) float64 in the frame of the cloud, whose nodes have this centroid (3,)."""
+    tcp = np.tile(np.eye(4), (len(scene_from_tcp), 1, 1))
+    tcp[:, :3, :3] = _orthonormal(scene_from_tcp.rotation.detach().cpu().double().numpy())
+    tcp[:, :3, 3] = scene_from_tcp.translation.detach().cpu().double().numpy() + centroid
+    return tcp
 
 
-def poses_of_tcp(tcp: np.ndarray, gripper: Gripper, request: SynthesisRequest) -> PoseSet:
-    """Derive gripper and approach poses of TCP poses (N, 4, 4)."""
-    world_from_gripper = tcp @ np.linalg.inv(
-        np.asarray(gripper.gripper_from_tcp, dtype=np.float64)
+def scene_from_tcp(
+    tcp: np.ndarray, centroid: np.ndarray, dtype: torch.dtype, device: torch.device
+) -> PoseBatch:
+    """Poses (N, 4, 4) of the cloud's frame as the model takes them."""
+    return PoseBatch(
+        torch.tensor(tcp[:, :3, :3], dtype=dtype, device=device),
+        torch.tensor(tcp[:, :3, 3] - centroid, dtype=dtype, device=device),
     )
+
+
+def pose_set(tcp: np.ndarray, gripper: Gripper, request: SynthesisRequest) -> PoseSet:
+    """Gripper and approach poses of TCP poses (N, 4, 4), all in the frame of the cloud."""
+    tcp_from_gripper = np.linalg.inv(np.asarray(gripper.gripper_from_tcp, dtype=np.float64))
+    world_from_gripper = tcp @ tcp_from_gripper
     approach = world_from_gripper.copy()
     back = -world_from_gripper[:, :3, 2]
     if request.approach_direction == "gravity" and request.gravity is not None:

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 import secrets
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, fields
+from typing import Any, Literal
 
 import numpy as np
 
 from megrasp_core.errors import GravityError, InvalidRequestError
 from megrasp_core.pointcloud import OrientedBox
 
-__all__ = ["MAX_DRAWN", "MAX_GRASPS", "Mode", "SynthesisRequest", "as_array"]
+__all__ = ["MAX_DRAWN", "MAX_GRASPS", "Mode", "SynthesisRequest"]
 
 MAX_GRASPS = 1000
 """Most grasps that one call returns."""
@@ -23,10 +23,29 @@ MAX_DRAWN = 4096
 
 Mode = Literal["default", "fast"]
 
+Vector = Sequence[float] | np.ndarray
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, kw_only=True)
 class SynthesisRequest:
-    """Arguments of one synthesis, validated. See `GraspSynthesizer.synthesize` for their meaning.
+    """What is asked of one synthesis: the one place of its options and their defaults.
+
+    Attributes:
+        num_grasps: most grasps to return, 1 to `MAX_GRASPS`.
+        drawn: poses to draw, 1 to `MAX_DRAWN`; at least num_grasps are.
+        mode: `default`: all drawn go through the descent, the best `refined` through the
+            restarts; `fast`: num_grasps are drawn and all go through everything.
+        gravity: (3,) vector that points down in the cloud's frame; None where unknown.
+        sensor: (3,) where the sensor was, or (N, 3) for every point; None: the cloud's viewpoint.
+        region: only points in it count.
+        walls: the region is the inside of a bin: its sides are walls, its bottom the floor.
+        max_tilt: largest angle between gripper +Z and gravity (rad).
+        approach_distance: between pre-grasp and approach pose (m).
+        approach_direction: back along gripper -Z (`tool`) or up (`gravity`).
+        exclude: (E, 4, 4) TCP poses that failed before.
+        exclude_radius: how near to them a grasp counts as the same (m).
+        seed: of everything drawn; None: a random one, which the result states.
+        keep_all: return the poses that fail the check as well, last, up to num_grasps in all.
 
     Raises:
         InvalidRequestError: an argument is outside its range.
@@ -36,17 +55,32 @@ class SynthesisRequest:
     num_grasps: int = 20
     drawn: int = 100
     mode: Mode = "default"
-    gravity: np.ndarray | None = None
-    sensor: np.ndarray | None = None
+    gravity: Vector | None = (0.0, 0.0, -1.0)
+    sensor: Vector | None = None
     region: OrientedBox | None = None
     walls: bool = True
     max_tilt: float | None = None
     approach_distance: float = 0.10
     approach_direction: Literal["tool", "gravity"] = "tool"
-    exclude: np.ndarray | None = None
+    exclude: Sequence[np.ndarray] | np.ndarray = ()
     exclude_radius: float = 0.02
     seed: int | None = None
     keep_all: bool = False
+
+    @classmethod
+    def of(cls, **options: Any) -> SynthesisRequest:
+        """A request of options by name.
+
+        Raises:
+            InvalidRequestError: there is no such option; the message lists those that there are.
+        """
+        names = [field.name for field in fields(cls)]
+        unknown = sorted(set(options) - set(names))
+        if unknown:
+            raise InvalidRequestError(
+                f"options {unknown} were given; expected some of {', '.join(names)}."
+            )
+        return cls(**options)
 
     def __post_init__(self) -> None:
         """Check every argument and bring the arrays to float64."""
@@ -59,9 +93,8 @@ class SynthesisRequest:
         # More cannot be returned than are drawn, and `fast` draws what it returns.
         self._set("num_grasps", n)
         self._set("drawn", n if self.mode == "fast" else max(drawn, n))
-        self._set("gravity", _direction(self.gravity))
-        if self.sensor is not None:
-            self._set("sensor", np.asarray(self.sensor, dtype=np.float64))
+        self._set("gravity", _direction(_array("gravity", self.gravity)))
+        self._set("sensor", _array("sensor", self.sensor))
         if self.max_tilt is not None and not 0 < self.max_tilt <= math.pi:
             raise InvalidRequestError(
                 f"max_tilt {self.max_tilt} was given; expected an angle over 0 and up to pi "
@@ -99,12 +132,7 @@ class SynthesisRequest:
         object.__setattr__(self, name, value)
 
 
-def as_array(name: str, value: Sequence[float] | np.ndarray | None) -> np.ndarray | None:
-    """Numbers as float64; None stays None.
-
-    Raises:
-        InvalidRequestError: they are no numbers.
-    """
+def _array(name: str, value: Vector | None) -> np.ndarray | None:
     if value is None:
         return None
     try:
@@ -127,10 +155,9 @@ def _whole(name: str, value: object, low: int, high: int, advice: str) -> int:
     return int(value)
 
 
-def _direction(gravity: Sequence[float] | np.ndarray | None) -> np.ndarray | None:
-    if gravity is None:
+def _direction(vector: np.ndarray | None) -> np.ndarray | None:
+    if vector is None:
         return None
-    vector = np.asarray(gravity, dtype=np.float64)
     length = float(np.linalg.norm(vector)) if vector.shape == (3,) else math.nan
     if not math.isfinite(length) or length < 1e-6:
         raise GravityError(
@@ -140,8 +167,8 @@ def _direction(gravity: Sequence[float] | np.ndarray | None) -> np.ndarray | Non
     return vector / length
 
 
-def _poses(poses: Sequence[np.ndarray] | np.ndarray | None) -> np.ndarray:
-    stack = np.asarray([] if poses is None else poses, dtype=np.float64)
+def _poses(poses: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
+    stack = np.asarray(poses, dtype=np.float64)
     if stack.size == 0:
         return np.zeros((0, 4, 4))
     if stack.shape == (4, 4):

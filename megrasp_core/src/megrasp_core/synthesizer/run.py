@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from megrasp_core.diffusion import (
+    Denoise,
     NoiseSchedule,
     SamplerSettings,
     SamplerStep,
@@ -22,18 +23,20 @@ from megrasp_core.diffusion import (
 )
 from megrasp_core.errors import CancelledError
 from megrasp_core.grippers import Gripper
+from megrasp_core.lie import PoseBatch
 from megrasp_core.network import GraspModel, GripperCode, SceneField
-from megrasp_core.pointcloud import Cloud, SceneNodes, SceneSettings, scene_nodes, surface_cloud
+from megrasp_core.pointcloud import Cloud, SceneSettings
 from megrasp_core.ranking import GripperProbe
 
-from .evaluate import Assessment, SceneJudge
+from .perception import Perceived, perceive
 from .polish import polish
-from .poses import PoseSet, pose_set, poses_of_tcp
+from .poses import pose_set, scene_from_tcp, world_from_tcp
 from .request import SynthesisRequest
 from .result import Synthesis
-from .selection import Assessed, collect
+from .sampling import draw_starts
+from .scene_judge import Assessment
+from .selection import rank_poses
 from .settings import SynthesizerSettings
-from .starts import draw_starts
 
 __all__ = ["Cancelled", "MountedGripper", "OnStep", "SynthesisRun"]
 
@@ -77,32 +80,31 @@ class SynthesisRun:
         self.timing: dict[str, float] = {}
         self.generator = torch.Generator(device=self.model.device)
         self.generator.manual_seed(int(request.seed or 0))
+        self.confident = "confidence" in model.info.heads
         self.keep = request.drawn
         if request.mode == "default" and model.device.type == "cpu" and sampler.restarts:
             self.keep = min(self.settings.refined, request.drawn)
-        self.total = sampler.evaluations
 
     def run(self, cloud: Cloud) -> Synthesis:
         """All phases; see `GraspSynthesizer.synthesize`."""
         start = time.perf_counter()
-        nodes, judge = self._perceive(cloud)
-        scene = self._encode(nodes)
+        request, ranking = self.request, self.settings.ranking
+        with self._phase("perceive"):
+            seen = perceive(cloud, request, self.scene_settings, ranking)
+        with self._phase("encode"):
+            field = self.model.encode_scene(seen.nodes)
+        left_out: tuple[Assessment, np.ndarray] | None = None
         with self._phase("sample"):
-            rotation, translation = self._descend(scene)
-            rest: tuple[Assessed, np.ndarray] | None = None
-            if self.keep < self.request.drawn:
-                first = self._assess(judge, scene, nodes, rotation, translation, cheap=True)
-                chosen = self._best(first[1])
-                rest = first, np.setdiff1d(np.arange(self.request.drawn), chosen)
-                rotation, translation = rotation[chosen], translation[chosen]
-            rotation, translation = self._refine(scene, rotation, translation)
+            poses = self._descend(field)
+            if self.keep < request.drawn:
+                first = self._assess(seen, field, poses, cheap=True)
+                best = self._best(first)
+                left_out = first, np.setdiff1d(np.arange(request.drawn), best)
+                poses = poses.part(torch.as_tensor(best, device=poses.device))
+            poses = self._refine(field, poses)
         with self._phase("rank"):
-            final = self._assess(judge, scene, nodes, rotation, translation, cheap=False)
-            final = self._polished(final, judge, scene, nodes)
-            grasps, rejected = collect(
-                final, rest, self.mounted.probe, self.request, self.settings.ranking
-            )
-        self._tell("rank", 1, 1)
+            final = self._polished(seen, field, self._assess(seen, field, poses))
+            grasps, rejected = rank_poses(final, self.mounted.probe, request, ranking, left_out)
         self.timing["total"] = time.perf_counter() - start
         LOGGER.debug(
             "synthesis: %d grasps, rejected %s, seconds %s", len(grasps), rejected, self.timing
@@ -111,141 +113,96 @@ class SynthesisRun:
             grasps=grasps,
             rejected=rejected,
             timing=self.timing,
-            seed=int(self.request.seed or 0),
-            drawn=self.request.drawn,
-            evaluations=self.total,
+            seed=int(request.seed or 0),
+            drawn=request.drawn,
+            evaluations=self.sampler.evaluations,
             gripper=self.mounted.gripper.name,
             model=self.model.model_id,
         )
 
-    def _perceive(self, cloud: Cloud) -> tuple[SceneNodes, SceneJudge]:
-        request = self.request
-        with self._phase("perceive"):
-            surface = surface_cloud(
-                cloud,
-                sensor=request.sensor,
-                gravity=request.gravity,
-                region=request.region,
-                settings=self.scene_settings,
-            )
-            nodes = scene_nodes(surface, self.scene_settings)
-            judge = SceneJudge(surface, request, self.settings.ranking)
-        self._tell("perceive", 1, 1)
-        return nodes, judge
-
-    def _encode(self, nodes: SceneNodes) -> SceneField:
-        with self._phase("encode"):
-            scene = self.model.encode_scene(nodes)
-        self._tell("encode", 1, 1)
-        return scene
-
-    def _descend(self, scene: SceneField) -> tuple[Tensor, Tensor]:
+    def _descend(self, field: SceneField) -> PoseBatch:
         starts = draw_starts(
-            self.model, scene, self.mounted.code, self.request.drawn, self.generator
+            self.model, field, self.mounted.code, self.request.drawn, self.generator
         )
-        steps = descend(self._denoiser(scene), starts, self.sampler, self.schedule, self.generator)
-        last = last_step(steps, self._sampled, self.cancelled)
-        return last.rotation, last.translation
+        steps = descend(self._denoiser(field), starts, self.sampler, self.schedule, self.generator)
+        return last_step(steps, self._report, self.cancelled).poses
 
-    def _refine(
-        self, scene: SceneField, rotation: Tensor, translation: Tensor
-    ) -> tuple[Tensor, Tensor]:
+    def _refine(self, field: SceneField, poses: PoseBatch) -> PoseBatch:
         sampler = self.sampler
-        if sampler.restarts == 0 or len(rotation) == 0:
-            return rotation, translation
+        if sampler.restarts == 0 or len(poses) == 0:
+            return poses
+        steps = refine(self._denoiser(field), poses, sampler, self.schedule, self.generator)
         done = sampler.descend_evaluations
+        later = (replace(step, index=done + step.index, total=done + step.total) for step in steps)
+        return last_step(later, self._report, self.cancelled).poses
 
-        def tell(step: SamplerStep) -> None:
-            self._sampled(replace(step, index=done + step.index))
-
-        steps = refine(
-            self._denoiser(scene), rotation, translation, sampler, self.schedule, self.generator
-        )
-        last = last_step(steps, tell, self.cancelled)
-        return last.rotation, last.translation
-
-    def _denoiser(self, scene: SceneField) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
-        def denoise(rotation: Tensor, translation: Tensor, s: Tensor) -> Tensor:
-            said = self.model.predict(scene, self.mounted.code, rotation, translation, s)
+    def _denoiser(self, field: SceneField) -> Denoise:
+        def denoise(poses: PoseBatch, s: Tensor) -> Tensor:
+            found = self.model.predict(field, self.mounted.code, poses, s)
             if self.sampler.uses_score:
-                return torch.cat([said.residual[:, :3], said.score], dim=-1)
-            return said.residual
+                return torch.cat([found.residual[:, :3], found.score], dim=-1)
+            return found.residual
 
         return denoise
 
     def _assess(
-        self,
-        judge: SceneJudge,
-        scene: SceneField,
-        nodes: SceneNodes,
-        rotation: Tensor,
-        translation: Tensor,
-        *,
-        cheap: bool,
-    ) -> tuple[PoseSet, Assessment]:
-        poses = pose_set(rotation, translation, nodes.centroid, self.mounted.gripper, self.request)
-        return poses, self._judged(poses, judge, scene, rotation, translation, cheap=cheap)
-
-    def _judged(
-        self,
-        poses: PoseSet,
-        judge: SceneJudge,
-        scene: SceneField,
-        rotation: Tensor,
-        translation: Tensor,
-        *,
-        cheap: bool = False,
-        contacts: bool = True,
+        self, seen: Perceived, field: SceneField, poses: PoseBatch, *, cheap: bool = False
     ) -> Assessment:
-        confidence = None
-        if "confidence" in self.model.info.heads:
-            logit = self.model.confidence(scene, self.mounted.code, rotation, translation)
-            confidence = logit.sigmoid().cpu().double().numpy()
-        return judge.assess(poses, self.mounted.probe, confidence, cheap=cheap, contacts=contacts)
+        tcp = world_from_tcp(poses, seen.nodes.centroid)
+        return seen.judge.assess(
+            pose_set(tcp, self.mounted.gripper, self.request),
+            self.mounted.probe,
+            self._confidence(field, poses),
+            cheap=cheap,
+        )
 
-    def _polished(
-        self, final: Assessed, judge: SceneJudge, scene: SceneField, nodes: SceneNodes
-    ) -> Assessed:
-        settings = self.settings.polish
-        if self.request.mode != "default" or "confidence" not in self.model.info.heads:
+    def _confidence(self, field: SceneField, poses: PoseBatch) -> np.ndarray | None:
+        if not self.confident:
+            return None
+        logit = self.model.confidence(field, self.mounted.code, poses)
+        return logit.sigmoid().cpu().double().numpy()
+
+    def _polished(self, seen: Perceived, field: SceneField, final: Assessment) -> Assessment:
+        if self.request.mode != "default" or not self.confident:
             return final
 
-        def assess(tcp: np.ndarray, contacts: bool) -> Assessed:
-            self._ask()
-            poses = poses_of_tcp(tcp, self.mounted.gripper, self.request)
-            kind = {"dtype": self.model.dtype, "device": self.model.device}
-            rotation = torch.tensor(tcp[:, :3, :3], **kind)
-            translation = torch.tensor(tcp[:, :3, 3] - nodes.centroid, **kind)
-            return poses, self._judged(
-                poses, judge, scene, rotation, translation, contacts=contacts
+        def assess(tcp: np.ndarray, contacts: bool) -> Assessment:
+            self._stop_if_cancelled("while ranking")
+            model = self.model
+            poses = scene_from_tcp(tcp, seen.nodes.centroid, model.dtype, model.device)
+            return seen.judge.assess(
+                pose_set(tcp, self.mounted.gripper, self.request),
+                self.mounted.probe,
+                self._confidence(field, poses),
+                contacts=contacts,
             )
 
         rng = np.random.default_rng(int(self.request.seed or 0))
         probe, rank = self.mounted.probe, self.settings.ranking.rank
-        return polish(final, assess, settings, rng, probe.symmetry, rank)
+        return polish(final, assess, self.settings.polish, rng, probe.symmetry, rank)
 
-    def _best(self, assessment: Assessment) -> np.ndarray:
+    def _best(self, assessed: Assessment) -> np.ndarray:
         """Indices of the poses that go on: those that pass before those that do not, each by
         score.
         """
-        order = np.lexsort((-assessment.score, ~assessment.check.passed))
+        order = np.lexsort((-assessed.score, ~assessed.check.passed))
         return np.sort(order[: self.keep])
 
-    def _sampled(self, step: SamplerStep) -> None:
-        self._tell("sample", step.index, self.total)
-
-    def _tell(self, phase: str, step: int, total: int) -> None:
+    def _report(self, step: SamplerStep) -> None:
         if self.on_step is not None:
-            self.on_step(phase, step, total)
-        if phase != "sample":
-            self._ask(f"after phase {phase!r}")
-
-    def _ask(self, where: str = "while ranking") -> None:
-        if self.cancelled is not None and self.cancelled():
-            raise CancelledError(f"cancelled {where}")
+            self.on_step("sample", step.index, self.sampler.evaluations)
 
     @contextmanager
     def _phase(self, name: str) -> Iterator[None]:
         start = time.perf_counter()
         yield
         self.timing[name] = time.perf_counter() - start
+        # The sampler has told of its steps and asked after each of them.
+        if name != "sample":
+            if self.on_step is not None:
+                self.on_step(name, 1, 1)
+            self._stop_if_cancelled(f"after phase {name!r}")
+
+    def _stop_if_cancelled(self, where: str) -> None:
+        if self.cancelled is not None and self.cancelled():
+            raise CancelledError(f"cancelled {where}")

@@ -6,89 +6,80 @@ import numpy as np
 
 from megrasp_core.ranking import GripperProbe, rejection_counts, suppress_duplicates
 
-from .evaluate import Assessment
-from .poses import PoseSet
 from .request import SynthesisRequest
 from .result import RankedGrasp
+from .scene_judge import Assessment
 from .settings import RankingSettings
 
-__all__ = ["Assessed", "collect"]
-
-Assessed = tuple[PoseSet, Assessment]
+__all__ = ["rank_poses"]
 
 
-def collect(
-    final: Assessed,
-    rest: tuple[Assessed, np.ndarray] | None,
+def rank_poses(
+    assessed: Assessment,
     probe: GripperProbe,
     request: SynthesisRequest,
     settings: RankingSettings,
+    left_out: tuple[Assessment, np.ndarray] | None = None,
 ) -> tuple[list[RankedGrasp], dict[str, int]]:
     """Best first, without near duplicates, at most num_grasps.
 
     Args:
-        final: poses that went through everything.
-        rest: all drawn poses as they were before the restarts, and the indices of those that went
-            no further.
+        assessed: poses that went through everything.
         probe: of the gripper, for its symmetry.
         request: number of grasps; whether those that fail are wanted too.
         settings: duplicates.
+        left_out: all drawn poses as they were before the restarts, and the indices of those that
+            went no further.
 
     Returns:
         Grasps, and the number of drawn poses per reason. Returned grasps that pass and all counts
-        make `drawn`.
+        make the number of poses.
     """
-    poses, assessment = final
-    check, score = assessment.check, assessment.score
+    check, score = assessed.check, assessed.score
     passing = np.flatnonzero(check.passed)
     repeats = suppress_duplicates(
-        poses.tcp[passing], score[passing], probe.symmetry, settings.rank
+        assessed.poses.tcp[passing], score[passing], probe.symmetry, settings.rank
     )
     check.reason[passing[repeats]] = "duplicate"
     good = passing[~repeats]
     good = good[np.argsort(-score[good], kind="stable")]
     check.reason[good[request.num_grasps :]] = "surplus"
-    grasps = [_grasp(poses, assessment, i, "") for i in good[: request.num_grasps]]
+    grasps = [_grasp(assessed, i) for i in good[: request.num_grasps]]
+    failed = [(assessed, np.flatnonzero(check.reason != ""))]
     reasons = check.reason
-    if rest is not None:
-        others, index = rest
-        reasons = np.concatenate([reasons, _unrefined(others[1], index)])
+    if left_out is not None:
+        others, index = left_out
+        others.check.reason[index[others.check.reason[index] == ""]] = "surplus"
+        reasons = np.concatenate([reasons, others.check.reason[index]])
+        failed.append(left_out)
     if request.keep_all:
-        left = [(final, np.flatnonzero(reasons[: len(check.reason)] != ""))]
-        for source, index in left if rest is None else [*left, rest]:
+        for source, index in failed:
             room = request.num_grasps - len(grasps)
-            for i in _better_first(source[1], index)[:room]:
-                grasps.append(_grasp(source[0], source[1], i, str(source[1].check.reason[i])))
+            grasps += [_grasp(source, i) for i in _better_first(source, index)[:room]]
     return grasps, rejection_counts(reasons)
 
 
-def _better_first(assessment: Assessment, index: np.ndarray) -> np.ndarray:
+def _better_first(assessed: Assessment, index: np.ndarray) -> np.ndarray:
     """Repeats of a good grasp and poses that nobody had room for, then those that fail, each by
     score.
     """
-    failing = ~np.isin(assessment.check.reason[index], ("duplicate", "surplus"))
-    return index[np.lexsort((-assessment.score[index], failing))]
+    failing = ~np.isin(assessed.check.reason[index], ("duplicate", "surplus"))
+    return index[np.lexsort((-assessed.score[index], failing))]
 
 
-def _unrefined(assessment: Assessment, index: np.ndarray) -> np.ndarray:
-    """Reasons of the poses that did not go through the restarts."""
-    reasons = assessment.check.reason
-    reasons[index[reasons[index] == ""]] = "surplus"
-    return reasons[index]
-
-
-def _grasp(poses: PoseSet, assessment: Assessment, i: int, reason: str) -> RankedGrasp:
-    check, contacts, confidence = assessment.check, assessment.contacts, assessment.confidence
-    free = reason in ("", "duplicate", "surplus")
+def _grasp(assessed: Assessment, i: int) -> RankedGrasp:
+    poses, check = assessed.poses, assessed.check
+    contacts, confidence = assessed.contacts, assessed.confidence
+    reason = str(check.reason[i])
     return RankedGrasp(
         world_from_tcp=poses.tcp[i],
         world_from_gripper=poses.gripper[i],
         world_from_gripper_approach=poses.approach[i],
-        score=float(assessment.score[i]),
+        score=float(assessed.score[i]),
         width=float("nan") if contacts is None else float(contacts.width[i]),
         clearance=float(check.clearance[i]),
         tilt=float(check.tilt[i]),
-        collision_free=free,
+        collision_free=reason in ("", "duplicate", "surplus"),
         reason=reason,
         confidence=float("nan") if confidence is None else float(confidence[i]),
         hidden_share=float(check.hidden_share[i]),

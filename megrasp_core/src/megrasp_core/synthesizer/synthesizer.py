@@ -4,23 +4,22 @@ node.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any
 
-import numpy as np
 import torch
 
 from megrasp_core.diffusion import NoiseSchedule
 from megrasp_core.errors import InvalidRequestError
 from megrasp_core.grippers import Gripper, load_gripper
 from megrasp_core.network import GraspModel, load_model
-from megrasp_core.pointcloud import Cloud, OrientedBox
+from megrasp_core.pointcloud import Cloud
 from megrasp_core.ranking import GripperProbe, gripper_probe
 
-from .request import Mode, SynthesisRequest, as_array
+from .request import SynthesisRequest
 from .result import Synthesis
 from .run import Cancelled, MountedGripper, OnStep, SynthesisRun
 from .settings import SynthesizerSettings
@@ -123,43 +122,19 @@ class GraspSynthesizer:
     def synthesize(
         self,
         cloud: Cloud,
+        request: SynthesisRequest | None = None,
         *,
-        num_grasps: int = 20,
-        drawn: int = 100,
-        mode: Mode = "default",
-        gravity: Sequence[float] | np.ndarray | None = (0.0, 0.0, -1.0),
-        sensor: Sequence[float] | np.ndarray | None = None,
-        region: OrientedBox | None = None,
-        walls: bool = True,
-        max_tilt: float | None = None,
-        approach_distance: float = 0.10,
-        approach_direction: Literal["tool", "gravity"] = "tool",
-        exclude: Sequence[np.ndarray] | np.ndarray = (),
-        exclude_radius: float = 0.02,
-        seed: int | None = None,
-        keep_all: bool = False,
         on_step: OnStep | None = None,
         cancelled: Cancelled | None = None,
+        **options: Any,
     ) -> Synthesis:
         """Draw grasps for a cloud, check and rank them.
 
         Args:
             cloud: in any frame, metres.
-            num_grasps: most grasps to return, 1 to `MAX_GRASPS`.
-            drawn: poses to draw, 1 to `MAX_DRAWN`; at least num_grasps are.
-            mode: `default`: all drawn go through the descent, the best `refined` through the
-                restarts; `fast`: num_grasps are drawn and all go through everything.
-            gravity: (3,) vector that points down in the cloud's frame; None where unknown.
-            sensor: (3,) where the sensor was; default: the cloud's viewpoint.
-            region: only points in it count.
-            walls: the region is the inside of a bin: its sides are walls, its bottom the floor.
-            max_tilt: largest angle between gripper +Z and gravity (rad).
-            approach_distance: between pre-grasp and approach pose (m).
-            approach_direction: back along gripper -Z (`tool`) or up (`gravity`).
-            exclude: (E, 4, 4) TCP poses that failed before.
-            exclude_radius: how near to them a grasp counts as the same (m).
-            seed: of everything drawn; None: a random one, which the result states.
-            keep_all: return the poses that fail the check as well, last, up to num_grasps in all.
+            request: what is asked for; or give
+            options: the attributes of `SynthesisRequest` by name, such as num_grasps, gravity,
+                sensor, region.
             on_step: called with (phase, step, steps of the phase); phases perceive, encode,
                 sample, rank.
             cancelled: asked between steps.
@@ -167,22 +142,12 @@ class GraspSynthesizer:
         Raises:
             InvalidRequestError, GravityError, CloudError, EmptyRegionError, CancelledError.
         """
-        request = SynthesisRequest(
-            num_grasps=num_grasps,
-            drawn=drawn,
-            mode=mode,
-            gravity=as_array("gravity", gravity),
-            sensor=as_array("sensor", sensor),
-            region=region,
-            walls=walls,
-            max_tilt=max_tilt,
-            approach_distance=approach_distance,
-            approach_direction=approach_direction,
-            exclude=np.asarray(exclude, dtype=np.float64),
-            exclude_radius=exclude_radius,
-            seed=seed,
-            keep_all=keep_all,
-        )
+        if request is not None and options:
+            raise InvalidRequestError(
+                f"a request and the options {sorted(options)} were given; expected one or the "
+                "other."
+            )
+        request = request or SynthesisRequest.of(**options)
         if self._mounted is None:
             raise InvalidRequestError("no gripper is set; expected one. Call set_gripper first.")
         with self._running():

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from megrasp_core.grippers import is_procedural
+from megrasp_core.lie import PoseBatch
 from megrasp_core.network import SceneGraph
 from megrasp_core.pointcloud import SceneNodes, SceneSettings
 
@@ -23,13 +24,11 @@ class LabelledPoses:
     """Poses of one gripper in one scene, in centred scene coordinates.
 
     Attributes:
-        rotation: `(P, 3, 3)` scene_from_tcp.
-        translation: `(P, 3)` m.
+        poses: P, scene_from_tcp.
         target: `(P,)` share of trials that held.
     """
 
-    rotation: Tensor
-    translation: Tensor
+    poses: PoseBatch
     target: Tensor
 
     def __len__(self) -> int:
@@ -188,11 +187,13 @@ def scene_batch(
         confidence: take labelled poses for the confidence.
     """
 
+    def centred(translation: NDArray[np.float64]) -> Tensor:
+        return torch.from_numpy((translation - nodes.centroid).astype(np.float32))
+
     def poses(table: PoseTable, chosen: NDArray[np.intp]) -> LabelledPoses:
         part = table.part(chosen)
         return LabelledPoses(
-            torch.from_numpy(part.rotation),
-            torch.from_numpy((part.translation - nodes.centroid).astype(np.float32)),
+            PoseBatch(torch.from_numpy(part.rotation), centred(part.translation)),
             torch.from_numpy(part.target),
         )
 
@@ -219,11 +220,8 @@ def scene_batch(
         graph,
         positives,
         {name: part for name, part in labelled.items() if len(part)},
-        {
-            name: poses(table, np.flatnonzero(table.good)).translation
-            for name, table in tables.items()
-        },
-        {name: poses(table, np.arange(len(table))).translation for name, table in tables.items()},
+        {name: centred(table.translation[table.good]) for name, table in tables.items()},
+        {name: centred(table.translation) for name, table in tables.items()},
     )
 
 

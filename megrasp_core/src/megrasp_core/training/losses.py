@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from megrasp_core.diffusion import NoiseSchedule, perturb, score_target, target
-from megrasp_core.lie import so3
+from megrasp_core.lie import PoseBatch, so3
 from megrasp_core.network import GraspModel, GripperCode, SceneField
 
 from .batching import LabelledPoses, SceneBatch
@@ -101,20 +101,21 @@ def scene_losses(
                 for part in batch.positives.values()
             ]
         )
-        rotation, translation = poses.rotation, poses.translation
-        noisy_rotation, noisy_translation = perturb(
-            rotation, translation, level, schedule, generator
-        )
-        aim = nearest_copies(rotation, noisy_rotation, fold) if config.nearest_copy else rotation
-        y = target(aim, translation, noisy_rotation, noisy_translation, level, schedule)
-        score = score_target(rotation, noisy_rotation, level, schedule)
-        prediction = model.predict(field, code, noisy_rotation, noisy_translation, level)
+        clean = poses.poses
+        noisy = perturb(clean, level, schedule, generator)
+        aim = clean
+        if config.nearest_copy:
+            nearest = nearest_copies(clean.rotation, noisy.rotation, fold)
+            aim = PoseBatch(nearest, clean.translation)
+        y = target(aim, noisy, level, schedule)
+        score = score_target(clean, noisy, level, schedule)
+        prediction = model.predict(field, code, noisy, level)
         residual = (prediction.residual - y).square().mean(-1)
         terms["diffusion"] = residual.mean()
         terms["score"] = (prediction.score - score).square().mean()
     if batch.labelled:
         poses, code = _joined(batch.labelled, codes, device)
-        logit = model.confidence(field, code, poses.rotation, poses.translation)
+        logit = model.confidence(field, code, poses.poses)
         terms["confidence"] = functional.binary_cross_entropy_with_logits(logit, poses.target)
     if config.graspability_weight:
         parts = [
@@ -147,8 +148,7 @@ def _joined(
 ) -> tuple[LabelledPoses, GripperCode]:
     """The poses of all grippers one after another, and the gripper of each."""
     poses = LabelledPoses(
-        torch.cat([part.rotation for part in parts.values()]).to(device),
-        torch.cat([part.translation for part in parts.values()]).to(device),
+        PoseBatch.joined([part.poses for part in parts.values()]).to(device),
         torch.cat([part.target for part in parts.values()]).to(device),
     )
     counts = [len(part) for part in parts.values()]

@@ -1,4 +1,4 @@
-"""The check, the contact measurement and the score of a set of poses: one code for every stage."""
+"""The check, the contact measurement and the score of poses: one code for every stage."""
 
 from __future__ import annotations
 
@@ -29,14 +29,25 @@ __all__ = ["Assessment", "SceneJudge", "seen_plane"]
 
 @dataclass(frozen=True)
 class Assessment:
-    """Check, contacts (None where the fingers do not close along X), confidence (N,) (None without
-    that head) and score (N,) of N poses.
+    """N poses and what is known of them.
+
+    Attributes:
+        poses: in the frame of the cloud.
+        check: against what was seen.
+        contacts: None where the fingers do not close along X.
+        confidence: (N,), None without that head.
+        score: (N,).
     """
 
+    poses: PoseSet
     check: GraspCheck
     contacts: Contacts | None
     confidence: np.ndarray | None
     score: np.ndarray
+
+    def __len__(self) -> int:
+        """Number of poses."""
+        return len(self.score)
 
 
 class SceneJudge:
@@ -110,7 +121,7 @@ class SceneJudge:
             again = excluded(poses.tcp, request.exclude, request.exclude_radius, probe.symmetry)
             check.reject(again, "excluded")
         score = score_grasps(check, between, confidence, s.rank)
-        return Assessment(check, between, confidence, score)
+        return Assessment(poses, check, between, confidence, score)
 
     def _material(self, surface: SurfaceCloud, plane: Plane | None) -> ContactSurface:
         """Seen points off the support plane and, in a bin, off its floor and walls."""
