@@ -56,7 +56,7 @@ def cell(monkeypatch):
         nearest = min(graspable, key=lambda i: np.linalg.norm(poses[i, :3, 3] - pose[:3, 3]))
         return Verdict(True, Reason.SUCCESS, (nearest,), nearest)
 
-    monkeypatch.setattr("megrasp_core.cell.robot_cell.judge", judge)
+    monkeypatch.setattr("megrasp_core.cell.pick_cycle.judge", judge)
     return made
 
 

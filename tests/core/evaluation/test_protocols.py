@@ -11,7 +11,7 @@ import pytest
 from megrasp_core.errors import InvalidRequestError
 from megrasp_core.evaluation.ceiling import CeilingPlanner, CeilingSettings
 from megrasp_core.evaluation.object_pool import graspable_objects, load_pool
-from megrasp_core.evaluation.planners import AntipodalPlanner
+from megrasp_core.evaluation.planners import AntipodalPlanner, Planner
 from megrasp_core.evaluation.protocols import ProtocolSettings, run_scene
 from megrasp_core.evaluation.report import evaluate
 from megrasp_core.grippers import load_gripper
@@ -30,7 +30,7 @@ def pool():
     return [procedural_object(seed, kind="box") for seed in range(8)]
 
 
-class Scripted:
+class Scripted(Planner):
     """Answers with one fixed pose, or with nothing."""
 
     name = "scripted"

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from megrasp_core.errors import InvalidRequestError, SimulationError, UnknownGripperError
+from megrasp_core.errors import InvalidRequestError, UnknownGripperError
 from megrasp_core.grippers import Gripper, load_gripper
 from megrasp_core.objects import ObjectModel, procedural_object
 from megrasp_core.pointcloud import Cloud, OrientedBox
@@ -30,12 +30,12 @@ from megrasp_core.simulation import (
     World,
     build_world,
     depth_to_points,
-    judge,
     render_view,
 )
 
 from .inputs import checked_pose, unique_names
-from .rest import come_to_rest, outside_bin, settle_all
+from .pick_cycle import PickCycle
+from .rest import outside_bin, settle_all
 
 LOGGER = logging.getLogger(__name__)
 
@@ -231,19 +231,8 @@ class RobotCell:
         """
         pose = checked_pose(world_from_gripper, "world_from_gripper")
         start = None if approach is None else checked_pose(approach, "approach")
-        before = self._world.save()
-        present = [i for i in range(len(self._names)) if i not in self._gone]
-        try:
-            verdict = judge(self._world, pose, graspable=present, approach=start)
-            # What a failed attempt had raised slipped out and is on its way down again.
-            lifted = sorted(verdict.lifted) if verdict.success else []
-            for index in lifted:
-                self._world.park_object(index)
-            self._world.park_gripper()
-            come_to_rest(self._world)
-        except SimulationError:
-            self._world.restore(before)
-            raise
+        verdict = PickCycle(self._world).carry_out(pose, start)
+        lifted = sorted(verdict.lifted) if verdict.success else []
         spilled = [i for i in outside_bin(self._world) if i not in lifted]
         for index in spilled:
             self._world.park_object(index)

@@ -8,7 +8,7 @@ nothing, the objects that are left lie against walls, under others or too flat o
 from __future__ import annotations
 
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +22,8 @@ from megrasp_core.objects import ObjectModel
 from megrasp_core.pointcloud import Cloud
 from megrasp_core.simulation import World, approach_path, judge, start_depths
 from megrasp_core.synthesizer import RankedGrasp, Synthesis
+
+from .planners import Planner
 
 GRAVITY = np.array([0.0, 0.0, -1.0])
 MAX_DEPTH = 0.001
@@ -47,7 +49,7 @@ class CeilingSettings:
     approach_distance: float = 0.10
 
 
-class CeilingPlanner:
+class CeilingPlanner(Planner):
     """Names a grasp only after it has succeeded in a copy of the very state."""
 
     name = "ceiling"
@@ -58,14 +60,14 @@ class CeilingPlanner:
         self._surfaces: dict[str, ObjectSurface] = {}
         self._stage: tuple[World, dict[int, ObjectModel]] | None = None
 
-    def look_inside(self, world: World, goals: dict[int, ObjectModel]) -> None:
+    def look_inside(self, world: World, models: Mapping[int, ObjectModel]) -> None:
         """Take the true state in.
 
         Args:
             world: as the next grasp will find it; left as it is.
-            goals: places of the objects that may be grasped, and their models.
+            models: of the objects that may be grasped, by place.
         """
-        self._stage = world, goals
+        self._stage = world, dict(models)
 
     def plan(self, cloud: Cloud, **options: Any) -> Synthesis:
         """The first grasp found that succeeds; the cloud is not looked at.

@@ -5,15 +5,19 @@ same check.
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from megrasp_core.diffusion import SamplerSettings
 from megrasp_core.grippers import Gripper
+from megrasp_core.objects import ObjectModel
 from megrasp_core.pointcloud import Cloud, SceneNodes, neighbours
 from megrasp_core.ranking import GripperProbe, gripper_probe
+from megrasp_core.simulation import World
 from megrasp_core.synthesizer import (
     GraspSynthesizer,
     Synthesis,
@@ -25,17 +29,22 @@ from megrasp_core.synthesizer import (
 )
 
 
-class Planner(Protocol):
+class Planner(ABC):
     """Anything that turns a cloud into a `Synthesis`."""
 
     name: str
 
+    @abstractmethod
     def plan(self, cloud: Cloud, **options: Any) -> Synthesis:
-        """Grasps for a cloud; options as of `GraspSynthesizer.synthesize`."""
-        ...
+        """Grasps for a cloud; options as of `SynthesisRequest`."""
+
+    def look_inside(self, world: World, models: Mapping[int, ObjectModel]) -> None:  # noqa: B027
+        """Told before each plan of the true scene and of the objects that may be lifted, by place;
+        only a planner that is to know more than the camera makes use of it.
+        """
 
 
-class ModelPlanner:
+class ModelPlanner(Planner):
     """The trained model."""
 
     def __init__(self, synthesizer: GraspSynthesizer) -> None:
@@ -72,7 +81,7 @@ class AntipodalSettings:
     pairs: int = 4000
 
 
-class AntipodalPlanner:
+class AntipodalPlanner(Planner):
     """Analytic antipodal candidates, with the check and the ranking of the model's samples.
 
     Half of the candidates are pairs of seen points whose normals oppose along the closing axis

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
-from megrasp_core.cell.rest import come_to_rest
+from megrasp_core.cell.pick_cycle import PickCycle
 from megrasp_core.errors import InvalidRequestError, SimulationError
 from megrasp_core.grippers import Gripper
 from megrasp_core.lie import matrix_from_pose7
@@ -19,16 +18,12 @@ from megrasp_core.simulation import (
     Bin,
     DepthNoise,
     TopDownCamera,
-    Verdict,
     World,
-    judge,
-    observe,
     ring_cameras,
     settle,
 )
 from megrasp_core.synthesizer import RankedGrasp, Synthesis
 
-from .ceiling import CeilingPlanner
 from .planners import Planner
 
 ProtocolName = Literal["binpick", "declutter", "single"]
@@ -123,100 +118,86 @@ def run_scene(
         on_stage: called after every synthesis, for pictures.
     """
     world, obstacles, models = _scene(settings, gripper, pool, graspable, index)
-    outcome = SceneOutcome(objects=len(world.present) - len(obstacles))
-    goals = set(world.present) - obstacles
-    failures = 0
-    failed: list[np.ndarray] = []
+    cycle = PickCycle(world, obstacles)
+    outcome = SceneOutcome(objects=len(cycle.left))
     rng = np.random.default_rng([settings.seed, index, 3])
     binpick = settings.protocol == "binpick"
-    while goals & set(world.present):
+    while cycle.left:
         if binpick and (
-            failures >= settings.max_failures or len(outcome.first) >= settings.max_attempts
+            cycle.failures >= settings.max_failures or len(outcome.first) >= settings.max_attempts
         ):
             break
-        cloud = _look(settings, world, rng)
+        # One top-down view of a bin; ten views of a table heap.
+        cameras = TopDownCamera() if binpick else ring_cameras()
+        cloud = cycle.look(cameras, settings.noise, rng)
         options = {
             "region": TABLE_REGION if world.bin is None else world.bin.region(),
             "walls": world.bin is not None,
             "seed": int(rng.integers(2**31)),
         }
         outcome.stages += 1
-        state = world.save()
         if settings.samples and (not binpick or outcome.stages == 1):
-            _judge_samples(settings, world, planner, cloud, options, goals, outcome)
-            world.restore(state)
-        if isinstance(planner, CeilingPlanner):
-            left = goals & set(world.present)
-            planner.look_inside(world, {place: models[place] for place in left})
+            _judge_samples(settings, cycle, planner, cloud, options, outcome)
+        planner.look_inside(world, {place: models[place] for place in cycle.left})
         result = planner.plan(
             cloud,
             num_grasps=settings.returned,
             drawn=settings.drawn,
-            exclude=list(failed),
+            exclude=cycle.failed,
             exclude_radius=settings.exclude_radius,
             **options,
         )
         outcome.seconds.append(result.timing["total"])
         outcome.evaluations = result.evaluations
+        outcome.answered += bool(result.grasps)
         if on_stage is not None:
             on_stage(result, cloud, outcome)
         for grasp in result.grasps[: settings.judged]:
-            verdict = _try(world, grasp, goals, binpick)
+            verdict = cycle.verdict(grasp, approach=binpick)
             outcome.ranked.append((grasp, bool(verdict.success), verdict.reason.value))
-            world.restore(state)
-        success, lifted = _execute_first(world, result, goals, binpick, outcome)
-        if not binpick:
-            world.restore(state)
-            _remove_one(world, goals, rng)
-            if settings.protocol == "single":
-                break
+        if binpick:
+            _pick(cycle, result, outcome)
             continue
-        if success:
-            failures, failed = 0, []
-            outcome.removed += len(set(lifted) & goals)
-        else:
-            failures += 1
-            failed += [grasp.world_from_tcp for grasp in result.grasps[:1]]
-        for place in lifted:
-            world.park_object(place)
-        world.park_gripper()
-        come_to_rest(world)
+        _try_first(cycle, result, outcome)
+        if settings.protocol == "single":
+            break
+        cycle.clear([int(rng.choice(cycle.left))])
     return outcome
 
 
-def _execute_first(
-    world: World, result: Synthesis, goals: set[int], approach: bool, outcome: SceneOutcome
-) -> tuple[bool, tuple[int, ...]]:
-    """Execute the best grasp; an empty answer is a failed attempt: the robot stood still for
-    nothing.
+NO_ANSWER = "no_answer"
+"""Reason of an attempt without a grasp: the robot stood still for nothing."""
 
-    Returns success and the objects that are out of the scene then.
-    """
+
+def _pick(cycle: PickCycle, result: Synthesis, outcome: SceneOutcome) -> None:
+    """Execute the best grasp and leave the scene as the attempt leaves it."""
     if not result.grasps:
-        outcome.first.append((False, "no_answer"))
-        return False, ()
-    outcome.answered += 1
-    verdict = _try(world, result.grasps[0], goals, approach)
+        outcome.first.append((False, NO_ANSWER))
+        cycle.count(False, None)
+        cycle.clear(())
+        return
+    goals = set(cycle.left)
+    verdict = cycle.execute(result.grasps[0])
     outcome.first.append((bool(verdict.success), verdict.reason.value))
-    return bool(verdict.success), tuple(verdict.lifted) if verdict.success else ()
+    if verdict.success:
+        outcome.removed += len(goals & set(verdict.lifted))
 
 
-def _try(world: World, grasp: RankedGrasp, goals: set[int], approach: bool) -> Verdict:
-    return judge(
-        world,
-        grasp.world_from_gripper,
-        graspable=sorted(goals & set(world.present)),
-        approach=grasp.world_from_gripper_approach if approach else None,
-    )
+def _try_first(cycle: PickCycle, result: Synthesis, outcome: SceneOutcome) -> None:
+    """What would become of the best grasp; no path to it is tested, as in the paper."""
+    if not result.grasps:
+        outcome.first.append((False, NO_ANSWER))
+        return
+    verdict = cycle.verdict(result.grasps[0], approach=False)
+    outcome.first.append((bool(verdict.success), verdict.reason.value))
 
 
 def _judge_samples(
     settings: ProtocolSettings,
-    world: World,
+    cycle: PickCycle,
     planner: Planner,
     cloud: Cloud,
     options: dict,
-    goals: set[int],
     outcome: SceneOutcome,
 ) -> None:
     """Judge every sample from the restored state; all go through the whole sampler (mode fast)."""
@@ -228,12 +209,9 @@ def _judge_samples(
         keep_all=True,
         **options,
     )
-    state = world.save()
-    binpick = settings.protocol == "binpick"
     for grasp in result.grasps:
-        verdict = _try(world, grasp, goals, binpick)
+        verdict = cycle.verdict(grasp, approach=settings.protocol == "binpick")
         outcome.sampled.append((bool(verdict.success), grasp.collision_free, verdict.reason.value))
-        world.restore(state)
 
 
 def _scene(
@@ -273,22 +251,3 @@ def _scene(
         f"scene {index} of seed {settings.seed} did not come to rest in 10 draws; use fewer or "
         "smaller objects."
     )
-
-
-def _look(settings: ProtocolSettings, world: World, rng: np.random.Generator) -> Cloud:
-    """One top-down view of a bin; ten views fused of a table heap."""
-    world.park_gripper()
-    binpick = settings.protocol == "binpick"
-    return observe(world, TopDownCamera() if binpick else ring_cameras(), settings.noise, rng)
-
-
-def _remove_one(world: World, goals: set[int], rng: np.random.Generator) -> None:
-    left = sorted(goals & set(world.present))
-    world.park_object(int(rng.choice(left)))
-    world.park_gripper()
-    come_to_rest(world)
-
-
-def with_friction(settings: ProtocolSettings, friction: float) -> ProtocolSettings:
-    """The same run at another friction (headline rows are repeated at 0.5)."""
-    return dataclasses.replace(settings, friction=friction)

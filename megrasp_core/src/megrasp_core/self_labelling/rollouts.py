@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from megrasp_core.cell.rest import come_to_rest
+from megrasp_core.cell.pick_cycle import PickCycle
 from megrasp_core.errors import EmptyRegionError, SimulationError
 from megrasp_core.lie import pose7_from_matrix
 from megrasp_core.objects import ObjectSet
 from megrasp_core.pointcloud import Cloud, surface_cloud
 from megrasp_core.scenes import GRAVITY, SceneConfig, draw_layout, region_of, scene_cameras
-from megrasp_core.simulation import DepthNoise, Verdict, World, build_world, judge, observe
+from megrasp_core.simulation import DepthNoise, Verdict, World, build_world
 from megrasp_core.storage import (
     GripperLabels,
     Kind,
@@ -77,21 +77,19 @@ def roll_out(
     camera = scene_cameras(seed, config, in_bin=True)[0]
     rng = np.random.default_rng([seed, 4])
     region = region_of(layout.bin, config)
+    cycle = PickCycle(world, obstacles)
     records: list[SceneRecord] = []
-    failed: list[np.ndarray] = []
-    while len(records) < settings.max_stages and len(failed) < settings.max_failures:
-        present = sorted(world.present)
-        goals = [place for place in present if place not in obstacles]
-        if not goals:
+    while len(records) < settings.max_stages and cycle.failures < settings.max_failures:
+        if not cycle.left:
             break
-        world.park_gripper()
-        cloud = observe(world, camera, DepthNoise(), rng)
+        present = sorted(world.present)
+        cloud = cycle.look(camera, DepthNoise(), rng)
         grasps = synthesizer.synthesize(
             cloud,
             num_grasps=settings.drawn,
             drawn=settings.drawn,
             region=region,
-            exclude=failed,
+            exclude=cycle.failed,
             exclude_radius=0.05,
             seed=int(rng.integers(2**31)),
             keep_all=True,
@@ -102,11 +100,7 @@ def roll_out(
         if others:
             picked = rng.permutation(len(others))[: settings.rejected]
             chosen = chosen + [others[i] for i in picked]
-        state = world.save()
-        verdicts = []
-        for grasp in chosen:
-            verdicts.append(_judge(world, grasp, goals))
-            world.restore(state)
+        verdicts = [cycle.verdict(grasp) for grasp in chosen]
         records.append(
             dataclasses.replace(
                 _seen(seed * STAGES + len(records), layout.object_names, world, cloud, config),
@@ -117,12 +111,7 @@ def roll_out(
         )
         if not passing:
             break
-        result = _judge(world, passing[0], goals)
-        failed = [] if result.success else [*failed, passing[0].world_from_tcp]
-        for place in result.lifted if result.success else ():
-            world.park_object(place)
-        world.park_gripper()
-        come_to_rest(world)
+        cycle.execute(passing[0])
     return records
 
 
@@ -175,15 +164,6 @@ def label_rollouts(
     finally:
         writer.close()
     return written
-
-
-def _judge(world: World, grasp: RankedGrasp, goals: list[int]) -> Verdict:
-    return judge(
-        world,
-        grasp.world_from_gripper,
-        graspable=goals,
-        approach=grasp.world_from_gripper_approach,
-    )
 
 
 def _seen(

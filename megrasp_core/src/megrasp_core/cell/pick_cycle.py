@@ -1,0 +1,117 @@
+"""The cycle of a robot that picks: look, try what was planned, leave the scene as the attempt left
+it, remember what failed. The one used by the cell, the protocols and the rollouts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from megrasp_core.errors import SimulationError
+from megrasp_core.pointcloud import Cloud
+from megrasp_core.simulation import Camera, DepthNoise, Verdict, World, judge, observe
+from megrasp_core.synthesizer import RankedGrasp
+
+from .rest import come_to_rest
+
+
+class PickCycle:
+    """A robot at one scene.
+
+    Attributes:
+        world: the scene; the cycle moves gripper and objects in it.
+        obstacles: objects that must not be lifted.
+        failed: world_from_tcp (4, 4) of the grasps that failed since the last success, to be
+            excluded from the next plan.
+        failures: attempts without success since then; more than `failed` holds where nothing was
+            found to execute.
+    """
+
+    def __init__(self, world: World, obstacles: Collection[int] = ()) -> None:
+        self.world = world
+        self.obstacles = frozenset(obstacles)
+        self.failed: list[NDArray[np.float64]] = []
+        self.failures = 0
+
+    @property
+    def left(self) -> list[int]:
+        """Objects that are there and may be lifted."""
+        return sorted(set(self.world.present) - self.obstacles)
+
+    def look(
+        self,
+        cameras: Camera | Sequence[Camera],
+        noise: DepthNoise | None,
+        rng: np.random.Generator,
+    ) -> Cloud:
+        """The scene as cameras see it, the gripper out of the way."""
+        self.world.park_gripper()
+        return observe(self.world, cameras, noise, rng)
+
+    def verdict(self, grasp: RankedGrasp, *, approach: bool = True) -> Verdict:
+        """What would become of a grasp; the scene is as before afterwards."""
+        state = self.world.save()
+        try:
+            return self._try(grasp.world_from_gripper, self._way(grasp, approach))
+        finally:
+            self.world.restore(state)
+
+    def execute(self, grasp: RankedGrasp, *, approach: bool = True) -> Verdict:
+        """Carry out a grasp; see `carry_out`. What fails is remembered."""
+        verdict = self.carry_out(grasp.world_from_gripper, self._way(grasp, approach))
+        self.count(verdict.success, grasp.world_from_tcp)
+        return verdict
+
+    def carry_out(
+        self,
+        world_from_gripper: NDArray[np.float64],
+        approach: NDArray[np.float64] | None = None,
+    ) -> Verdict:
+        """Approach, close, lift, shake; what was lifted leaves the scene, the gripper too, and the
+        rest comes to rest.
+
+        Args:
+            world_from_gripper: (4, 4) pre-grasp.
+            approach: (4, 4) world_from_gripper at the stand-off, from where the path to the
+                pre-grasp is tested for collision; None: no path is tested.
+
+        Raises:
+            SimulationError: the physics diverged; the scene is as before then.
+        """
+        before = self.world.save()
+        try:
+            verdict = self._try(world_from_gripper, approach)
+            self.clear(verdict.lifted if verdict.success else ())
+        except SimulationError:
+            self.world.restore(before)
+            raise
+        return verdict
+
+    def clear(self, objects: Collection[int]) -> None:
+        """Take objects and the gripper out of the scene and let the rest come to rest.
+
+        What a failed attempt had raised slipped out and is on its way down again.
+        """
+        for index in objects:
+            self.world.park_object(index)
+        self.world.park_gripper()
+        come_to_rest(self.world)
+
+    def count(self, success: bool, world_from_tcp: NDArray[np.float64] | None) -> None:
+        """Take in one attempt; `world_from_tcp` (4, 4): what was executed, None for nothing."""
+        if success:
+            self.failed, self.failures = [], 0
+            return
+        self.failures += 1
+        if world_from_tcp is not None:
+            self.failed = [*self.failed, world_from_tcp]
+
+    def _try(
+        self, world_from_gripper: NDArray[np.float64], approach: NDArray[np.float64] | None
+    ) -> Verdict:
+        return judge(self.world, world_from_gripper, graspable=self.left, approach=approach)
+
+    def _way(self, grasp: RankedGrasp, approach: bool) -> NDArray[np.float64] | None:
+        return grasp.world_from_gripper_approach if approach else None
