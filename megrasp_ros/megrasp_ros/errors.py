@@ -51,12 +51,6 @@ class ToolMismatchError(MegraspError):
     code: ClassVar[int] = ErrorCode.TOOL_MISMATCH
 
 
-class NoGraspError(MegraspError):
-    """Every drawn grasp was rejected."""
-
-    code: ClassVar[int] = ErrorCode.NO_GRASP_FOUND
-
-
 class BinEmptyError(MegraspError):
     """Only the support surface and the walls are left in the region."""
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from megrasp_core.errors import CancelledError, ModelError
 from megrasp_core.grippers import load_gripper
+from megrasp_core.pointcloud import only_support_left
 from megrasp_ros.server.grasp_server import main
 
 STEPS = 20
@@ -82,6 +83,7 @@ class DoubleSynthesizer:
             timing={"perceive": 0.01, "encode": 0.02, "sample": 0.03, "rank": 0.04, "total": 0.1},
             seed=seed,
             drawn=drawn,
+            bin_empty=only_support_left(cloud.points, options["region"], down),
         )
 
 

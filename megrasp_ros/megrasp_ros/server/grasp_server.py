@@ -41,8 +41,8 @@ from .grasp_messages import Outcome
 from .gripper_services import GripperServices
 from .outputs import Outputs
 from .parameters import Settings
-from .requests import Request
-from .synthesis import OnStep, Synthesis
+from .requests import ParsedRequest
+from .synthesis import OnStep, SynthesisRunner
 from .synthesis_services import SynthesisServices
 from .worker import Job, Worker
 
@@ -61,7 +61,7 @@ class GraspServer(LifecycleNode):
         self._engine = Engine(factory)
         self._worker = Worker()
         self._clouds = CloudSource(self)
-        self._synthesis = Synthesis(self._engine, self._clouds, FrameSource(self, buffer))
+        self._synthesis = SynthesisRunner(self._engine, self._clouds, FrameSource(self, buffer))
         self._outputs = Outputs(self)
         self._grippers = GripperServices(
             self, self._engine, self._outputs, self._worker, self._run_job, group
@@ -167,7 +167,7 @@ class GraspServer(LifecycleNode):
         return self._worker.submit(Job(what, checked)).wait()
 
     def _synthesize(
-        self, job: Job, request: Request, settings: Settings, on_step: OnStep | None
+        self, job: Job, request: ParsedRequest, settings: Settings, on_step: OnStep | None
     ) -> Outcome:
         """Work of a synthesis job: compute, then publish."""
         # Again: the node may have been deactivated before there was a job to cancel.

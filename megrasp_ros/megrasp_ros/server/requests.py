@@ -21,7 +21,7 @@ from .parameters import Settings
 
 
 @dataclass(frozen=True)
-class Request:
+class ParsedRequest:
     """What to compute. Poses and region are in the planning frame; fields as in
     SynthesizeGrasps.srv.
     """
@@ -40,7 +40,7 @@ class Request:
 
 def checked_request(
     message: SynthesizeGrasps.Request | GenerateGrasps.Goal, settings: Settings
-) -> Request:
+) -> ParsedRequest:
     """Return the request with the parameters filled in for what it leaves open.
 
     Raises InvalidRequestError when a field is out of its range.
@@ -55,7 +55,7 @@ def checked_request(
     _in_range("timeout", message.timeout, 3600.0, "s; 0: the parameter request_timeout")
     _in_range("exclude_radius", message.exclude_radius, 10.0, "m")
     region = box_from_message(message.region)
-    return Request(
+    return ParsedRequest(
         num_grasps=int(message.num_grasps),
         seed=int(message.seed) or random_seed(),
         max_tilt=float(message.max_tilt) or settings.max_tilt,
@@ -71,9 +71,9 @@ def checked_request(
     )
 
 
-def automatic_request(settings: Settings) -> Request:
+def automatic_request(settings: Settings) -> ParsedRequest:
     """Return the request of auto_synthesize: everything from the parameters."""
-    return Request(
+    return ParsedRequest(
         num_grasps=min(settings.num_grasps, settings.max_num_grasps),
         seed=random_seed(),
         max_tilt=settings.max_tilt,

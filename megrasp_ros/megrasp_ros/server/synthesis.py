@@ -19,11 +19,10 @@ from megrasp_ros.errors import BinEmptyError
 
 from .clouds import CloudSource
 from .engine import Engine, best_of
-from .floor import only_support_left
 from .frames import FrameSource, gravity_in
 from .grasp_messages import Outcome, grasp_array, rejection_counts, timing_message
 from .parameters import Settings
-from .requests import Request
+from .requests import ParsedRequest
 from .worker import Job
 
 FloatArray = NDArray[np.float64]
@@ -33,7 +32,7 @@ OnStep = Callable[[str, int, int], None]
 _PHASES = {"rank": "check"}
 
 
-class Synthesis:
+class SynthesisRunner:
     """The steps of a request: wait for the cloud, bring it into the planning frame, synthesize,
     make messages.
     """
@@ -47,7 +46,7 @@ class Synthesis:
     def run(
         self,
         job: Job,
-        request: Request,
+        request: ParsedRequest,
         settings: Settings,
         grippers: list[Gripper],
         on_step: OnStep | None = None,
@@ -72,13 +71,6 @@ class Synthesis:
         perceived = time.monotonic()
         cloud, header, gravity = self._perceive(message, settings)
         job.check()
-        if only_support_left(cloud.points, request.region, gravity):
-            raise BinEmptyError(
-                "only the support surface is left in the "
-                f"{'region' if request.region is not None else 'cloud'}; "
-                "expected objects of at least 10 mm height. The bin is empty; fill it, or check "
-                "the region."
-            )
         perceive = time.monotonic() - perceived
         results = [
             (
@@ -90,6 +82,13 @@ class Synthesis:
             for gripper in grippers
         ]
         gripper, synthesis = best_of(results)
+        if synthesis.bin_empty:
+            raise BinEmptyError(
+                "only the support surface is left in the "
+                f"{'region' if request.region is not None else 'cloud'}; "
+                "expected objects of at least 10 mm height. The bin is empty; fill it, or check "
+                "the region."
+            )
         outcome = Outcome(
             grasps=grasp_array(
                 gripper,
@@ -123,7 +122,12 @@ class Synthesis:
         return cloud, Header(stamp=message.header.stamp, frame_id=frame), gravity
 
     def _options(
-        self, job: Job, request: Request, settings: Settings, gravity: FloatArray, step: OnStep
+        self,
+        job: Job,
+        request: ParsedRequest,
+        settings: Settings,
+        gravity: FloatArray,
+        step: OnStep,
     ) -> dict[str, Any]:
         return {
             "num_grasps": request.num_grasps,

@@ -19,14 +19,14 @@ from megrasp_ros.errors import describe
 from . import parameters
 from .grasp_messages import Outcome
 from .parameters import Settings
-from .requests import Request, automatic_request, checked_request
+from .requests import ParsedRequest, automatic_request, checked_request
 from .synthesis import OnStep
 from .worker import Job, Worker
 
 RESULT_TIMEOUT = 900
 """Seconds that an action result is kept; the default differs between ROS distributions."""
 
-Synthesize = Callable[[Job, Request, Settings, OnStep | None], Outcome]
+Synthesize = Callable[[Job, ParsedRequest, Settings, OnStep | None], Outcome]
 """Computes and publishes; runs in the worker thread."""
 
 _CANCELLED = "the client cancelled the goal; send it again if it is needed."

@@ -16,7 +16,7 @@ from megrasp_core.drawing.closing_motion import closing_motion, pad_paths
 from megrasp_core.drawing.frame_page import frames_block, own_descriptions
 from megrasp_core.drawing.frame_picture import SIZE
 from megrasp_core.drawing.frame_raster import raster
-from megrasp_core.drawing.splat import View, look_along
+from megrasp_core.drawing.splat import Projection, look_along
 from megrasp_core.grippers import Pose, gripper_folders, load_gripper, save_description
 from megrasp_core.lie import pose7_from_matrix
 
@@ -87,7 +87,7 @@ def test_the_command_draws_and_writes_the_page(
 def test_the_raster_shows_open_closed_and_swept() -> None:
     """Seen from +Y, Z down: the open finger, the way between, the closed finger, nothing."""
     gripper = load_gripper("franka_hand")
-    view = View(
+    view = Projection(
         look_along(np.array([0.0, -1, 0]), np.array([0.0, 0, -1])), gripper.tcp, 2000, (240, 160)
     )
     pixels = raster(closing_motion(gripper), gripper.clouds(16), view)

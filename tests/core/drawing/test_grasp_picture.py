@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from megrasp_core.drawing.grasp_picture import HEADER, PANEL, draw_grasps, rank_colour
-from megrasp_core.drawing.splat import Canvas, View, look_along
+from megrasp_core.drawing.splat import Canvas, Projection, look_along
 from megrasp_core.grippers import load_gripper
 from megrasp_core.pointcloud import Cloud, OrientedBox
 
@@ -82,7 +82,7 @@ def test_rank_colours_go_from_green_to_red():
 
 
 def test_the_nearest_point_wins_whatever_the_order():
-    view = View(
+    view = Projection(
         look_along(np.array([0.0, 0.0, -1.0]), np.array([0.0, 1.0, 0.0])), np.zeros(3), 100, (9, 9)
     )
     near, far = np.array([[0.0, 0.0, 0.2]]), np.array([[0.0, 0.0, 0.1]])

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from wizard_models import SINGLE, around_a_centre, jaws, mjcf
 
 from megrasp_core.errors import DescriptionError, InvalidRequestError
-from megrasp_core.gripper_tools.wizard import Overrides, Request, new_gripper
+from megrasp_core.gripper_tools.wizard import ModelRequest, Overrides, new_gripper
 from megrasp_core.gripper_tools.wizard.findings import GUESS, SURE
 from megrasp_core.gripper_tools.wizard.score import (
     compare_with_facts,
@@ -33,7 +33,7 @@ NAMES = sorted(
 def made(tmp_path: Path, text: str, **overrides: object):
     """Run the wizard on an MJCF text, without a picture."""
     (tmp_path / "gripper.xml").write_text(text)
-    request = Request(
+    request = ModelRequest(
         tmp_path / "gripper.xml",
         tmp_path / "out",
         overrides=Overrides(**overrides),  # type: ignore[arg-type]
@@ -49,7 +49,7 @@ def test_own_models_are_understood(tmp_path, name):
     shutil.copytree(original.model_path.parent, source)
     (source / "gripper.yaml").unlink()
     model = source / original.model_path.name
-    result = new_gripper(Request(model, tmp_path / "something"), picture=False)
+    result = new_gripper(ModelRequest(model, tmp_path / "something"), picture=False)
     angles = compare_with_facts(result.description, facts_of(original))
     assert within_limits(original.kind == "hand", *angles), angles
     assert not result.errors

@@ -15,8 +15,8 @@ from megrasp_core.cli.gripper.new import _Questions
 from megrasp_core.errors import DescriptionError
 from megrasp_core.gripper_tools.wizard import (
     Finding,
+    ModelRequest,
     Overrides,
-    Request,
     SourceOptions,
     new_gripper,
 )
@@ -30,7 +30,7 @@ BALL = '<body name="a"><geom size=".02"/><body><joint type="ball" name="b"/></bo
 def make(model: Path, out: Path, **options: object):
     """Run the wizard with source options, without a picture."""
     source = SourceOptions(**options)  # type: ignore[arg-type]
-    return new_gripper(Request(model, out, source=source), picture=False)
+    return new_gripper(ModelRequest(model, out, source=source), picture=False)
 
 
 def test_urdf_with_mimic_and_meshes(tmp_path):
@@ -62,7 +62,7 @@ def test_model_in_millimetres_is_refused_or_scaled(tmp_path):
     assert not (tmp_path / "a").exists()
     scaled = make(model, tmp_path / "b", scale=0.001).description
     assert scaled.max_width == pytest.approx(WIDTH, abs=1e-3)
-    request = Request(model, tmp_path / "c")
+    request = ModelRequest(model, tmp_path / "c")
     agreed = new_gripper(request, accept_scale=lambda factor: factor == 0.001, picture=False)
     assert agreed.description.max_width == pytest.approx(WIDTH, abs=1e-3)
 

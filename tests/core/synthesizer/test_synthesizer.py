@@ -19,7 +19,11 @@ from megrasp_core.errors import (
 )
 from megrasp_core.network import PRESETS, GraspModel, save_model
 from megrasp_core.pointcloud import Cloud, OrientedBox
-from megrasp_core.synthesizer import GraspSynthesizer, SynthesizerSettings
+from megrasp_core.synthesizer import (
+    GraspSynthesizer,
+    SynthesisRequest,
+    SynthesizerSettings,
+)
 
 REGION = OrientedBox.around((0.0, 0.0, 0.075), (0.40, 0.30, 0.15))
 CAMERA = np.array([0.0, 0.0, 0.85])
@@ -200,6 +204,29 @@ def test_unknown_gravity_is_possible(synthesizer):
     result = run(synthesizer, gravity=None, keep_all=True)
     assert len(result.grasps) == 5 and all(np.isnan(g.tilt) for g in result.grasps)
     assert result.to_json()["grasps"][0]["tilt"] is None
+
+
+def test_an_empty_bin_is_told_and_nothing_is_drawn(synthesizer):
+    floor = np.random.default_rng(0).uniform((-0.2, -0.15, 0.0), (0.2, 0.15, 0.0005), (6000, 3))
+    told = []
+    answer = synthesizer.synthesize(
+        Cloud(floor, None, CAMERA), region=REGION, on_step=lambda *step: told.append(step[0])
+    )
+    assert answer.bin_empty and not answer.grasps and answer.drawn == 0
+    assert sum(answer.rejected.values()) == 0
+    assert answer.to_json()["bin_empty"] is True
+    assert told == ["perceive"]
+    assert not run(synthesizer).bin_empty and "bin_empty" not in run(synthesizer).to_json()
+
+
+def test_a_request_or_options_but_not_both(synthesizer):
+    request = SynthesisRequest(num_grasps=3, seed=1, region=REGION, keep_all=True)
+    answer = synthesizer.synthesize(table_cloud(), request)
+    assert len(answer.grasps) == 3 and answer.seed == 1
+    with pytest.raises(InvalidRequestError, match=r"options \['seed'\] were given"):
+        synthesizer.synthesize(table_cloud(), request, seed=2)
+    with pytest.raises(InvalidRequestError, match=r"options \['grasps'\].*some of num_grasps"):
+        synthesizer.synthesize(table_cloud(), grasps=3)
 
 
 def test_json_is_as_fixed(synthesizer, tmp_path):

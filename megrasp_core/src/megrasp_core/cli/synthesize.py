@@ -168,6 +168,12 @@ def _sensor(
 
 
 def _report(result: Synthesis) -> None:
+    if result.bin_empty:
+        say(
+            "nothing to grasp: only the support surface is left, nothing stands out of it by "
+            "10 mm. Check the region if there is something."
+        )
+        return
     free = sum(grasp.collision_free for grasp in result.grasps)
     counts = ", ".join(f"{name} {number}" for name, number in result.rejected.items() if number)
     say(

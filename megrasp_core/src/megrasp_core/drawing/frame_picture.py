@@ -26,7 +26,7 @@ from megrasp_core.grippers import Gripper
 from .closing_motion import closing_motion, pad_paths
 from .frame_raster import CLOSED, CLOSED_ALPHA, OPEN, SWEPT, SWEPT_ALPHA, raster
 from .gripper_picture import COLOURS
-from .splat import View, look_along
+from .splat import Projection, look_along
 
 __all__ = ["SIZE", "frame_picture"]
 
@@ -87,7 +87,7 @@ def frame_picture(gripper: Gripper, file: str | Path) -> Path:
 class _Panel:
     """Draws into one panel; points are in the gripper frame, metres."""
 
-    def __init__(self, axes: Axes, view: View, left: int) -> None:
+    def __init__(self, axes: Axes, view: Projection, left: int) -> None:
         self.axes, self.view, self.left = axes, view, left
 
     def at(self, point: NDArray[np.float64]) -> Pixel:
@@ -200,7 +200,7 @@ def _fitted(
     direction: tuple[float, float, float],
     width: int,
     sides: tuple[int, int],
-) -> View:
+) -> Projection:
     """Return the view along a direction, Z down, whose margins are those of the points (N, 3)."""
     rotation = look_along(np.array(direction), np.array([0.0, 0.0, -1.0]))
     local = points @ rotation.T
@@ -211,7 +211,7 @@ def _fitted(
     middle = (low + high) / 2
     middle[0] += (sides[1] - sides[0]) / 2 / scale
     middle[1] += (BELOW - ABOVE) / 2 / scale
-    return View(rotation, middle @ rotation, scale, (width, height))
+    return Projection(rotation, middle @ rotation, scale, (width, height))
 
 
 def _words(axes: Axes, gripper: Gripper) -> None:

@@ -14,7 +14,7 @@ from megrasp_core.grippers import GripperClouds
 from megrasp_core.meshes import Mesh, RayScene
 
 from .closing_motion import STILL, ClosingMotion
-from .splat import View
+from .splat import Projection
 
 __all__ = [
     "CLOSED",
@@ -47,7 +47,7 @@ ON_SURFACE = 1e-3
 DOT = 1
 
 
-def raster(motion: ClosingMotion, clouds: GripperClouds, view: View) -> NDArray[np.float64]:
+def raster(motion: ClosingMotion, clouds: GripperClouds, view: Projection) -> NDArray[np.float64]:
     """Return the picture (H, W, 3), 0..1, of a motion: the open gripper solid, the closed fingers
     and the swept region translucent, points of the clouds that are seen as dots.
     """
@@ -80,7 +80,7 @@ def _dots(
     image: NDArray[np.float64],
     points: NDArray[np.float64],
     depth: NDArray[np.float64],
-    view: View,
+    view: Projection,
     colour: NDArray[np.float64],
 ) -> None:
     """Paint the points (N, 3) that lie on the surface of this depth (H, W), in place."""
@@ -97,7 +97,7 @@ def _dots(
 
 def solid(
     meshes: Sequence[Mesh],
-    view: View,
+    view: Projection,
     paint: NDArray[np.float64],
     step: float = DEPTH_STEP,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -117,7 +117,9 @@ def solid(
     return colour, depth
 
 
-def _depths(meshes: Sequence[Mesh], view: View) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _depths(
+    meshes: Sequence[Mesh], view: Projection
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return depth (H, W), infinite where nothing is, and normals (H, W, 3) towards the viewer."""
     width, height = (SHARPNESS * n for n in view.size)
     if not meshes:
@@ -133,7 +135,7 @@ def _depths(meshes: Sequence[Mesh], view: View) -> tuple[NDArray[np.float64], ND
     return hits.distance.astype(np.float64), normals
 
 
-def _light(normals: NDArray[np.float64], view: View) -> NDArray[np.float64]:
+def _light(normals: NDArray[np.float64], view: Projection) -> NDArray[np.float64]:
     """Return the brightness (H, W), 0..1, of surfaces lit from the viewer's upper left."""
     direction = np.array([-0.45, -0.6, -0.75]) @ view.rotation
     return np.clip(normals @ (direction / np.linalg.norm(direction)), 0.0, 1.0)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from .splat import Canvas, View, height_colours, look_along, segment_points, surface_samples
+from .splat import Canvas, Projection, height_colours, look_along, segment_points, surface_samples
 
 if TYPE_CHECKING:
     from megrasp_core.grippers import Gripper
@@ -26,7 +26,7 @@ GRIPPER_CLOSED = np.array([0.93, 0.70, 0.42])
 MAX_POINTS = 150_000
 
 
-class Pose(Protocol):
+class DrawnGrasp(Protocol):
     """What a picture needs of a grasp: a `RankedGrasp`, or anything with these two."""
 
     world_from_gripper: np.ndarray
@@ -36,7 +36,7 @@ class Pose(Protocol):
 def save_grasp_picture(
     path: str | Path,
     cloud: Cloud,
-    grasps: Synthesis | Sequence[Pose],
+    grasps: Synthesis | Sequence[DrawnGrasp],
     gripper: Gripper,
     *,
     chosen: int | None = 0,
@@ -64,7 +64,7 @@ def save_grasp_picture(
 
 def draw_grasps(
     cloud: Cloud,
-    grasps: Synthesis | Sequence[Pose],
+    grasps: Synthesis | Sequence[DrawnGrasp],
     gripper: Gripper,
     *,
     chosen: int | None = 0,
@@ -88,7 +88,7 @@ def draw_grasps(
         region: the picture is cropped to it.
         gravity: (3,) down in the frame of the cloud; None: the picture looks from the viewpoint.
     """
-    ranked: list[Pose] = list(cast(Any, getattr(grasps, "grasps", grasps)))
+    ranked: list[DrawnGrasp] = list(cast(Any, getattr(grasps, "grasps", grasps)))
     shown = ranked[:count]
     if chosen is not None and chosen >= len(ranked):
         chosen = None
@@ -134,7 +134,7 @@ def draw_gripper(gripper: Gripper, *, size: tuple[int, int] = PANEL) -> Image.Im
     for posture, colour in (("open", GRIPPER), ("closed", GRIPPER_CLOSED)):
         for name, direction in views:
             rotation = look_along(np.array(direction), np.array([0.0, 0.0, -1.0]))
-            view = View(rotation, (low + high) / 2, scale, size)
+            view = Projection(rotation, (low + high) / 2, scale, size)
             canvas = Canvas(view)
             meshes = gripper.meshes(posture)
             canvas.draw(surface_samples(meshes, 0.7 / scale), colour, 1.0)
@@ -181,7 +181,7 @@ def _scene(
     return points, height_colours((height - low) / max(high - low, 0.02))
 
 
-def _views(points: np.ndarray, down: np.ndarray, region: OrientedBox | None) -> list[View]:
+def _views(points: np.ndarray, down: np.ndarray, region: OrientedBox | None) -> list[Projection]:
     """From above, and from the front left at about 40 degrees."""
     side = np.array([0.0, 1.0, 0.0]) if abs(down[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
     side -= (side @ down) * down
@@ -201,11 +201,11 @@ def _views(points: np.ndarray, down: np.ndarray, region: OrientedBox | None) -> 
         centre = rotation.T @ ((local.max(axis=0) + local.min(axis=0)) / 2)
         # A gripper stands on top of the scene: leave room above in the oblique view.
         lift = 0.0 if room < 1.1 else 0.05
-        views.append(View(rotation, centre - lift * down, scale, PANEL))
+        views.append(Projection(rotation, centre - lift * down, scale, PANEL))
     return views
 
 
-def _in_the_way(points: np.ndarray, region: OrientedBox, view: View) -> np.ndarray:
+def _in_the_way(points: np.ndarray, region: OrientedBox, view: Projection) -> np.ndarray:
     """Points (N,) outside the region on the viewer's side: walls that would hide the inside."""
     local = region.local(points)
     toward = -region.rotation.T @ view.rotation[2]
@@ -217,7 +217,7 @@ def _in_the_way(points: np.ndarray, region: OrientedBox, view: View) -> np.ndarr
     return (beyond & facing).any(axis=1)
 
 
-def _splat_radius(points: np.ndarray, view: View) -> float:
+def _splat_radius(points: np.ndarray, view: Projection) -> float:
     """Half the spacing of the points on the screen, so that a surface closes."""
     screen = view.project(points)[:, :2].astype(int)
     occupied = len(np.unique(screen[:, 0] // 8 * 10_000 + screen[:, 1] // 8)) * 64

@@ -23,7 +23,7 @@ from megrasp_core.storage import GraspSet
 from .contact_sheet import FAILURE, SUCCESS, contact_sheet
 from .data_charts import draw_grippers_per_object, draw_objects, draw_yield
 from .frame_raster import OPEN, reduced, solid
-from .splat import View, look_along
+from .splat import Projection, look_along
 
 __all__ = ["draw_grasp", "grasp_sheet", "library_pictures", "random_grasps"]
 
@@ -171,13 +171,13 @@ def draw_grasp(
     return reduced(best)
 
 
-def _view(look: NDArray[np.float64], points: NDArray[np.float64]) -> View:
+def _view(look: NDArray[np.float64], points: NDArray[np.float64]) -> Projection:
     """The view along a direction (3,), the approach downwards, that shows the points (N, 3)."""
     rotation = look_along(look, np.array([0.0, 0.0, -1.0]))
     seen = points @ rotation.T
     low, high = seen.min(axis=0), seen.max(axis=0)
     scale = float(0.94 * (np.array(TILE) / (high - low)[:2]).min())
-    return View(rotation, rotation.T @ (low + high) / 2, scale, TILE)
+    return Projection(rotation, rotation.T @ (low + high) / 2, scale, TILE)
 
 
 def _framed(image: NDArray[np.float64], title: str, colour: tuple[int, int, int]) -> Image.Image:

@@ -10,13 +10,20 @@ from scipy import ndimage
 
 from megrasp_core.meshes import Mesh, joined, sample_uniform
 
-__all__ = ["Canvas", "View", "height_colours", "look_along", "segment_points", "surface_samples"]
+__all__ = [
+    "Canvas",
+    "Projection",
+    "height_colours",
+    "look_along",
+    "segment_points",
+    "surface_samples",
+]
 
 BACKGROUND = np.array([0.96, 0.96, 0.97])
 
 
 @dataclass(frozen=True)
-class View:
+class Projection:
     """An orthographic view.
 
     Attributes:
@@ -53,7 +60,7 @@ def look_along(direction: np.ndarray, up: np.ndarray) -> np.ndarray:
 class Canvas:
     """Colour (H, W, 3) in 0..1 and depth (H, W) of what was drawn, the nearest on top."""
 
-    def __init__(self, view: View) -> None:
+    def __init__(self, view: Projection) -> None:
         self.view = view
         width, height = view.size
         self.colour = np.tile(BACKGROUND, (height, width, 1))

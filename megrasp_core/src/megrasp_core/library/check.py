@@ -11,12 +11,12 @@ from megrasp_core.errors import MegraspError
 from megrasp_core.grippers import load_gripper
 from megrasp_core.storage import DamagedError, GraspSet, open_npz, unfinished
 from megrasp_core.storage.codec import QUATERNION
-from megrasp_core.storage.integrity import Finding, Progress
+from megrasp_core.storage.integrity import Damage, Progress
 
 from .grasp_library import library_files, pair_file, read_sets
 
 
-def verify_library(path: str | Path, on_progress: Progress | None = None) -> list[Finding]:
+def verify_library(path: str | Path, on_progress: Progress | None = None) -> list[Damage]:
     """Reads every byte of a grasp library; what is wrong with it, damage first.
 
     Labels of another version of a gripper's description are no damage, but a note says so.
@@ -30,7 +30,7 @@ def verify_library(path: str | Path, on_progress: Progress | None = None) -> lis
     """
     path = Path(path)
     files = library_files(path)
-    found: list[Finding] = []
+    found: list[Damage] = []
     where: dict[tuple[str, str], Path] = {}
     hashes: Counter[tuple[str, str]] = Counter()
     for number, file in enumerate(files):
@@ -42,13 +42,13 @@ def verify_library(path: str | Path, on_progress: Progress | None = None) -> lis
         except OSError as error:
             sets, problems = [], [f"it cannot be read ({error})"]
         if problems:
-            found.append(Finding(file, "; ".join(problems), _pairs(file, sets)))
+            found.append(Damage(file, "; ".join(problems), _pairs(file, sets)))
         for entry in sets:
             hashes[entry.gripper, entry.gripper_hash] += 1
             pair = (entry.gripper, entry.object_name)
             if pair in where:
                 text = f"{_pair(entry)} lies in {where[pair]} too; the later file counts"
-                found.append(Finding(file, text, damaged=False))
+                found.append(Damage(file, text, damaged=False))
             where[pair] = file
         if on_progress is not None:
             on_progress(number + 1, len(files))
@@ -97,9 +97,9 @@ def _pairs(file: Path, sets: list[GraspSet]) -> tuple[str, ...]:
     return (f"all of {file.stem}",)
 
 
-def _versions(path: Path, hashes: Counter[tuple[str, str]]) -> list[Finding]:
+def _versions(path: Path, hashes: Counter[tuple[str, str]]) -> list[Damage]:
     """Notes of labels that belong to another description than the gripper's present one."""
-    notes: list[Finding] = []
+    notes: list[Damage] = []
     for (gripper, digest), count in sorted(hashes.items()):
         try:
             if load_gripper(gripper).hash == digest:
@@ -107,5 +107,5 @@ def _versions(path: Path, hashes: Counter[tuple[str, str]]) -> list[Finding]:
             text = f"{count} pairs of {gripper} belong to another version of its description"
         except MegraspError as error:
             text = f"{count} pairs of {gripper}, whose description cannot be loaded ({error})"
-        notes.append(Finding(path, text, damaged=False))
+        notes.append(Damage(path, text, damaged=False))
     return notes

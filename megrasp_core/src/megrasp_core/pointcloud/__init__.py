@@ -2,6 +2,7 @@
 
 from .box import OrientedBox
 from .cloud import Cloud
+from .emptiness import only_support_left
 from .io import read_cloud, write_cloud
 from .knn import estimate_normals, neighbours, remove_outliers
 from .plane import Plane, PlaneSettings, support_plane
@@ -34,6 +35,7 @@ __all__ = [
     "grown_region",
     "neighbours",
     "node_counts",
+    "only_support_left",
     "nodes_at",
     "read_cloud",
     "remove_outliers",

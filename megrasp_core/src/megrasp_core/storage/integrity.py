@@ -19,7 +19,7 @@ Progress = Callable[[int, int], object]
 
 
 @dataclass(frozen=True)
-class Finding:
+class Damage:
     """Something about a file of a data folder.
 
     Attributes:
@@ -42,7 +42,7 @@ class Finding:
         return f"{'damaged' if self.damaged else 'note'}: {self.file}: {self.problem}{lost}{kept}"
 
 
-def verify_dataset(folder: str | Path, on_progress: Progress | None = None) -> list[Finding]:
+def verify_dataset(folder: str | Path, on_progress: Progress | None = None) -> list[Damage]:
     """Reads every byte of a scene data set; what is wrong with it, damage first.
 
     Args:
@@ -53,7 +53,7 @@ def verify_dataset(folder: str | Path, on_progress: Progress | None = None) -> l
         DataError: the data set is of another version.
     """
     folder = Path(folder)
-    found: list[Finding] = []
+    found: list[Damage] = []
     known: set[str] = set()
     counted = 0
     try:
@@ -61,18 +61,18 @@ def verify_dataset(folder: str | Path, on_progress: Progress | None = None) -> l
         known = set(map(str, manifest.get("grippers") or ()))
         counted = int((manifest.get("counts") or {}).get("scenes", 0))
     except DamagedError as error:
-        found.append(Finding(folder / "manifest.json", error.why))
+        found.append(Damage(folder / "manifest.json", error.why))
     except DataError:
         if (folder / "manifest.json").exists():
             raise
-        found.append(Finding(folder / "manifest.json", "it is missing"))
+        found.append(Damage(folder / "manifest.json", "it is missing"))
     names: set[str] = set()
     files = [path for part in scene_files(folder) for path in part]
     for number, path in enumerate(files):
         try:
             finding, whole = check_scenes(path, lambda record: record_problems(record, known))
         except OSError as error:
-            finding, whole = Finding(path, f"it cannot be read ({error})"), []
+            finding, whole = Damage(path, f"it cannot be read ({error})"), []
         names.update(whole)
         if finding is not None:
             found.append(finding)
@@ -80,13 +80,13 @@ def verify_dataset(folder: str | Path, on_progress: Progress | None = None) -> l
             on_progress(number + 1, len(files))
     if len(names) < counted and not any(finding.lost for finding in found):
         text = f"it counts {counted} scenes, {len(names)} are there"
-        found.append(Finding(folder / "manifest.json", text, damaged=False))
+        found.append(Damage(folder / "manifest.json", text, damaged=False))
     return found + unfinished(folder)
 
 
 def check_scenes(
     path: Path, problems: Callable[[SceneRecord], list[str]]
-) -> tuple[Finding | None, list[str]]:
+) -> tuple[Damage | None, list[str]]:
     """Reads a loose scene or a shard.
 
     Args:
@@ -124,10 +124,10 @@ def check_scenes(
     if not wrong:
         return None, whole
     more = f" and {len(wrong) - 3} more" if len(wrong) > 3 else ""
-    return Finding(path, "; ".join(wrong[:3]) + more, tuple(lost), tuple(whole)), whole
+    return Damage(path, "; ".join(wrong[:3]) + more, tuple(lost), tuple(whole)), whole
 
 
-def move_aside(finding: Finding, folder: Path) -> Path | None:
+def move_aside(finding: Damage, folder: Path) -> Path | None:
     """Moves a damaged file to `<folder>/damaged/`, once the whole scenes of a shard are written as
     files of their own; its new path, None where there is no file.
     """
@@ -143,10 +143,10 @@ def move_aside(finding: Finding, folder: Path) -> Path | None:
     return set_aside(finding.file, folder)
 
 
-def unfinished(folder: Path) -> list[Finding]:
+def unfinished(folder: Path) -> list[Damage]:
     """Notes of what killed runs were writing."""
     text = "not finished by a run that was killed or is still at work; no reader minds it"
-    return [Finding(path, text, damaged=False) for path in leftovers(folder)]
+    return [Damage(path, text, damaged=False) for path in leftovers(folder)]
 
 
 def _faults(record: SceneRecord, problems: Callable[[SceneRecord], list[str]]) -> list[str]:

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from megrasp_core.pointcloud import Cloud, SceneNodes, SceneSettings, scene_nodes, surface_cloud
+from megrasp_core.pointcloud import (
+    Cloud,
+    SceneNodes,
+    SceneSettings,
+    only_support_left,
+    scene_nodes,
+    surface_cloud,
+)
 
 from .request import SynthesisRequest
 from .scene_judge import SceneJudge
@@ -20,10 +27,12 @@ class Perceived:
     Attributes:
         nodes: what the model sees.
         judge: of poses in it.
+        empty: nothing but the support surface is left.
     """
 
     nodes: SceneNodes
     judge: SceneJudge
+    empty: bool
 
 
 def perceive(
@@ -44,4 +53,8 @@ def perceive(
         region=request.region,
         settings=scene,
     )
-    return Perceived(scene_nodes(surface, scene), SceneJudge(surface, request, ranking))
+    return Perceived(
+        scene_nodes(surface, scene),
+        SceneJudge(surface, request, ranking),
+        only_support_left(surface.points, request.region, surface.gravity),
+    )

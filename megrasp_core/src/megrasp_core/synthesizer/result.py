@@ -78,6 +78,8 @@ class Synthesis:
         evaluations: evaluations of the denoiser that a fully refined pose went through.
         gripper: name.
         model: id.
+        bin_empty: nothing but the support surface was seen, so that nothing was drawn.
+        extra: further entries of grasps.json.
     """
 
     grasps: list[RankedGrasp]
@@ -88,6 +90,7 @@ class Synthesis:
     evaluations: int
     gripper: str
     model: str
+    bin_empty: bool = False
     extra: dict[str, Any] = field(default_factory=dict)
 
     def to_json(self, frame: str = "world") -> dict[str, Any]:
@@ -106,6 +109,7 @@ class Synthesis:
             "grasps": [grasp.to_json() for grasp in self.grasps],
             "rejected": dict(self.rejected),
             "timing": {key: round(value, 5) for key, value in self.timing.items()},
+            **({"bin_empty": True} if self.bin_empty else {}),
             **self.extra,
         }
 

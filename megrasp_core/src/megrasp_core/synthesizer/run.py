@@ -26,13 +26,13 @@ from megrasp_core.grippers import Gripper
 from megrasp_core.lie import PoseBatch
 from megrasp_core.network import GraspModel, GripperCode, SceneField
 from megrasp_core.pointcloud import Cloud, SceneSettings
-from megrasp_core.ranking import GripperProbe
+from megrasp_core.ranking import GripperProbe, rejection_counts
 
 from .perception import Perceived, perceive
 from .polish import polish
 from .poses import pose_set, scene_from_tcp, world_from_tcp
 from .request import SynthesisRequest
-from .result import Synthesis
+from .result import RankedGrasp, Synthesis
 from .sampling import draw_starts
 from .scene_judge import Assessment
 from .selection import rank_poses
@@ -46,6 +46,8 @@ OnStep = Callable[[str, int, int], None]
 """(phase, step, steps of the phase)."""
 
 Cancelled = Callable[[], bool]
+
+PHASES = ("perceive", "encode", "sample", "rank")
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,8 @@ class SynthesisRun:
         request, ranking = self.request, self.settings.ranking
         with self._phase("perceive"):
             seen = perceive(cloud, request, self.scene_settings, ranking)
+        if seen.empty:
+            return self._answer([], rejection_counts(np.zeros(0, "<U12")), start, empty=True)
         with self._phase("encode"):
             field = self.model.encode_scene(seen.nodes)
         left_out: tuple[Assessment, np.ndarray] | None = None
@@ -105,6 +109,16 @@ class SynthesisRun:
         with self._phase("rank"):
             final = self._polished(seen, field, self._assess(seen, field, poses))
             grasps, rejected = rank_poses(final, self.mounted.probe, request, ranking, left_out)
+        return self._answer(grasps, rejected, start)
+
+    def _answer(
+        self,
+        grasps: list[RankedGrasp],
+        rejected: dict[str, int],
+        start: float,
+        *,
+        empty: bool = False,
+    ) -> Synthesis:
         self.timing["total"] = time.perf_counter() - start
         LOGGER.debug(
             "synthesis: %d grasps, rejected %s, seconds %s", len(grasps), rejected, self.timing
@@ -112,12 +126,13 @@ class SynthesisRun:
         return Synthesis(
             grasps=grasps,
             rejected=rejected,
-            timing=self.timing,
-            seed=int(request.seed or 0),
-            drawn=request.drawn,
+            timing={name: self.timing.get(name, 0.0) for name in (*PHASES, "total")},
+            seed=int(self.request.seed or 0),
+            drawn=0 if empty else self.request.drawn,
             evaluations=self.sampler.evaluations,
             gripper=self.mounted.gripper.name,
             model=self.model.model_id,
+            bin_empty=empty,
         )
 
     def _descend(self, field: SceneField) -> PoseBatch:

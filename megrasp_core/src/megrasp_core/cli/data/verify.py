@@ -11,7 +11,7 @@ from megrasp_core.cli.common import Flag, progress_bar, say
 from megrasp_core.errors import InvalidRequestError
 
 if TYPE_CHECKING:
-    from megrasp_core.storage.integrity import Finding
+    from megrasp_core.storage.integrity import Damage
 
 __all__ = ["verify"]
 
@@ -56,7 +56,7 @@ def _is_scenes(out: Path) -> bool:
     return any((out / name).exists() for name in ("manifest.json", "scenes", "shards"))
 
 
-def _findings(out: Path) -> list[Finding]:
+def _findings(out: Path) -> list[Damage]:
     from megrasp_core.library import verify_library
     from megrasp_core.storage import verify_dataset
 
@@ -70,7 +70,7 @@ def _findings(out: Path) -> list[Finding]:
         return check(out, tell)
 
 
-def _repair(out: Path, found: list[Finding]) -> int:
+def _repair(out: Path, found: list[Damage]) -> int:
     from megrasp_core.storage import move_aside
     from megrasp_core.storage.scene_writer import lock
 

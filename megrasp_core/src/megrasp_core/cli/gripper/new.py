@@ -76,11 +76,11 @@ def new(
         yes: never ask; take what is found.
     """
     from megrasp_core.gripper_tools.wizard.prepare import SourceOptions
-    from megrasp_core.gripper_tools.wizard.wizard import Request, new_gripper
+    from megrasp_core.gripper_tools.wizard.wizard import ModelRequest, new_gripper
 
     packages = {key: Path(value) for key, value in _pairs(package, "--package").items()}
     asking = not yes and sys.stdin.isatty()
-    request = Request(
+    request = ModelRequest(
         model=model,
         out=out,
         source=SourceOptions(packages, scale, root),

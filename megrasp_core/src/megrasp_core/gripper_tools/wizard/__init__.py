@@ -3,14 +3,14 @@
 from .analyse import Analysis, Overrides
 from .findings import Finding
 from .prepare import SourceOptions
-from .wizard import NewGripper, Request, new_gripper
+from .wizard import ModelRequest, NewGripper, new_gripper
 
 __all__ = [
     "Analysis",
     "Finding",
     "NewGripper",
     "Overrides",
-    "Request",
+    "ModelRequest",
     "SourceOptions",
     "new_gripper",
 ]

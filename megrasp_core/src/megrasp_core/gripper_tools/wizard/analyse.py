@@ -14,7 +14,7 @@ from .axes import Axes, find_axes
 from .fingers import Finger, find_fingers
 from .hands import oppose_hand
 from .jaws import divide_jaws, oppose_jaws
-from .motion import Motion
+from .motion import DriveMotion
 from .opposition import Opposition
 from .pads import Pad
 from .prepare import Prepared
@@ -134,7 +134,7 @@ def _opposition(
 
 
 def given_lengths(
-    motion: Motion, base: NDArray[np.float64], given: Mapping[str, float], option: str
+    motion: DriveMotion, base: NDArray[np.float64], given: Mapping[str, float], option: str
 ) -> NDArray[np.float64]:
     """Return drive lengths (n,): `base` with those of the named joints or actuators replaced.
 

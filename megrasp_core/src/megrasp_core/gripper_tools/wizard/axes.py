@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from .fingers import joint_axes
 from .mechanism import Mechanism, palm_centre
-from .motion import Motion
+from .motion import DriveMotion
 from .opposition import Opposition
 
 CLOSING_SNAP = np.radians(10.0)
@@ -45,7 +45,7 @@ class Axes:
 
 def find_axes(
     mechanism: Mechanism,
-    motion: Motion,
+    motion: DriveMotion,
     opposition: Opposition,
     hand: bool,
     closing: NDArray[np.float64] | None = None,
@@ -114,13 +114,13 @@ def _outward(
     return np.mean(sides, axis=0)
 
 
-def _in_curl_plane(motion: Motion, opposition: Opposition) -> NDArray[np.float64]:
+def _in_curl_plane(motion: DriveMotion, opposition: Opposition) -> NDArray[np.float64]:
     """Return the closing axis without its part along the curl axes of the larger group."""
     normal = _curl_normal(motion, opposition)
     return opposition.axis if normal is None else _across(opposition.axis, normal)
 
 
-def _curl_normal(motion: Motion, opposition: Opposition) -> NDArray[np.float64] | None:
+def _curl_normal(motion: DriveMotion, opposition: Opposition) -> NDArray[np.float64] | None:
     """Return the mean curl axis of the larger group, None where its fingers curl differently."""
     _, axes = joint_axes(motion, opposition.open)
     group = max(opposition.groups, key=len)

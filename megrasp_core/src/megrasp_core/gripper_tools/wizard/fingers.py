@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from .mechanism import Branch, Mechanism, palm_centre
-from .motion import Motion
+from .motion import DriveMotion
 
 MOVED = 0.02
 """A joint follows a drive when it moves by more than this share of the drive's own change."""
@@ -56,7 +56,7 @@ class Finger:
         return pose[:3, :3] @ self.tip_point + pose[:3, 3]
 
 
-def joint_gains(motion: Motion) -> NDArray[np.float64]:
+def joint_gains(motion: DriveMotion) -> NDArray[np.float64]:
     """Return how far each joint moves per unit of each drive (drives, njnt), about the middle."""
     adr = motion.model.jnt_qposadr
     base = motion.rest()
@@ -72,7 +72,7 @@ def joint_gains(motion: Motion) -> NDArray[np.float64]:
     return out
 
 
-def find_fingers(mechanism: Mechanism, motion: Motion) -> tuple[Finger, ...]:
+def find_fingers(mechanism: Mechanism, motion: DriveMotion) -> tuple[Finger, ...]:
     """Return the fingers, longest first.
 
     Branches that move beside a longer one on the same drives are levers of its linkage and go to
@@ -95,7 +95,7 @@ def find_fingers(mechanism: Mechanism, motion: Motion) -> tuple[Finger, ...]:
 
 
 def joint_axes(
-    motion: Motion, lengths: NDArray[np.float64]
+    motion: DriveMotion, lengths: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return joint anchors and unit axes (njnt, 3) in the model frame."""
     data = mujoco.MjData(motion.model)
@@ -151,7 +151,7 @@ def _nearest(
 
 def _finger(
     mechanism: Mechanism,
-    motion: Motion,
+    motion: DriveMotion,
     gains: NDArray[np.float64],
     branch: Branch,
     extra: list[int],

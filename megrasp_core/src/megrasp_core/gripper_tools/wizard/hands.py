@@ -19,7 +19,7 @@ from megrasp_core.errors import DescriptionError
 from .fingers import Finger, joint_gains
 from .gaps import Gaps, first_contact
 from .mechanism import Mechanism
-from .motion import Motion
+from .motion import DriveMotion
 from .opposition import Opposition, divisions, facing
 from .reach import Reach
 
@@ -64,7 +64,7 @@ class _Plan:
 
 
 def oppose_hand(
-    mechanism: Mechanism, motion: Motion, fingers: Sequence[Finger], size: float
+    mechanism: Mechanism, motion: DriveMotion, fingers: Sequence[Finger], size: float
 ) -> Opposition:
     """Return the best opposition of a hand with at least two fingers.
 
@@ -101,7 +101,7 @@ def oppose_hand(
     return _finish(mechanism, motion, plan, (tuple(one), tuple(other)), moving, margin)
 
 
-def curl_lengths(motion: Motion, finger: Finger, share: float) -> NDArray[np.float64]:
+def curl_lengths(motion: DriveMotion, finger: Finger, share: float) -> NDArray[np.float64]:
     """Return the lengths of a finger's curl drives at a share of their way from extended."""
     low, high = motion.low[list(finger.curl)], motion.high[list(finger.curl)]
     flexing = np.array(finger.flexing) > 0.0
@@ -110,7 +110,7 @@ def curl_lengths(motion: Motion, finger: Finger, share: float) -> NDArray[np.flo
 
 
 def _side(
-    group: Sequence[Finger], motion: Motion, gains: NDArray[np.float64], search: bool
+    group: Sequence[Finger], motion: DriveMotion, gains: NDArray[np.float64], search: bool
 ) -> _Side:
     shares = np.linspace(0.0, 1.0, STATES)
     parts = []
@@ -130,7 +130,7 @@ def _side(
     return _mean(parts) if len(parts) > 1 else parts[0]
 
 
-def _combos(motion: Motion, finger: Finger) -> NDArray[np.float64]:
+def _combos(motion: DriveMotion, finger: Finger) -> NDArray[np.float64]:
     if not finger.spread:
         return np.zeros((1, 0))
     steps = SPREAD_STEPS if len(finger.spread) < MANY_SPREADS else FEW_SPREAD_STEPS
@@ -216,7 +216,7 @@ def _opened(
 
 def _finish(
     mechanism: Mechanism,
-    motion: Motion,
+    motion: DriveMotion,
     plan: _Plan,
     groups: tuple[tuple[Finger, ...], tuple[Finger, ...]],
     moving: _Side,

@@ -13,7 +13,7 @@ from megrasp_core.errors import DescriptionError
 
 from .fingers import Finger, joint_axes
 from .mechanism import Mechanism
-from .motion import Motion
+from .motion import DriveMotion
 from .opposition import Opposition, divisions, facing
 
 MAX_DRIVES = 6
@@ -21,7 +21,9 @@ ALIKE = 0.02
 """Divisions whose scores (cosines) differ by less oppose alike."""
 
 
-def oppose_jaws(mechanism: Mechanism, motion: Motion, fingers: Sequence[Finger]) -> Opposition:
+def oppose_jaws(
+    mechanism: Mechanism, motion: DriveMotion, fingers: Sequence[Finger]
+) -> Opposition:
     """Return the opposition of a jaw gripper with at least two fingers.
 
     Every drive that moves a finger is put to either end of its range; the widest of these postures
@@ -53,7 +55,7 @@ def oppose_jaws(mechanism: Mechanism, motion: Motion, fingers: Sequence[Finger])
 
 def divide_jaws(
     mechanism: Mechanism,
-    motion: Motion,
+    motion: DriveMotion,
     fingers: Sequence[Finger],
     start: NDArray[np.float64],
     end: NDArray[np.float64],
@@ -74,7 +76,7 @@ def divide_jaws(
 
 def _openness(
     mechanism: Mechanism,
-    motion: Motion,
+    motion: DriveMotion,
     fingers: Sequence[Finger],
     lengths: NDArray[np.float64],
 ) -> float:

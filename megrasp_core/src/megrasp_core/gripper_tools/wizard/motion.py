@@ -21,7 +21,7 @@ WARM_UP = 50
 STIFFNESS_SLIDE, STIFFNESS_HINGE = 5000.0, 20.0
 
 
-class Motion:
+class DriveMotion:
     """Positions of all joints for the lengths of the drives.
 
     A model whose couplings are joint equalities alone is solved directly; closed loops and tendon

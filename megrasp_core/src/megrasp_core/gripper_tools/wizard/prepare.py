@@ -24,7 +24,7 @@ from .drives import find_drives
 from .findings import Notes
 from .mechanism import Mechanism, find_mechanism, rigid_parts
 from .meshes import FOLDER
-from .motion import Motion
+from .motion import DriveMotion
 from .source import read_source
 from .units import check_units, scale_meshes, scale_model
 
@@ -56,7 +56,7 @@ class Prepared:
     folder: Path
     model: mujoco.MjModel
     mechanism: Mechanism
-    motion: Motion
+    motion: DriveMotion
 
 
 def prepare(
@@ -134,7 +134,7 @@ def _written(spec: mujoco.MjSpec, folder: Path, path: Path) -> Prepared:
             file.unlink()
     description = provisional_description(folder)
     model = compile_spec(build_spec(description), description)
-    motion = Motion(model, find_drives(model))
+    motion = DriveMotion(model, find_drives(model))
     middle = (motion.low + motion.high) / 2.0
     samples = [motion.poses(v) for v in (motion.rest(), motion.low, middle, motion.high)]
     return Prepared(folder, model, find_mechanism(model, samples), motion)

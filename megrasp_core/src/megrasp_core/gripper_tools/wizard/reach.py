@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from .fingers import Finger, joint_gains
-from .motion import Motion
+from .motion import DriveMotion
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Reach:
     """
 
     def __init__(
-        self, motion: Motion, finger: Finger, gains: NDArray[np.float64] | None = None
+        self, motion: DriveMotion, finger: Finger, gains: NDArray[np.float64] | None = None
     ) -> None:
         model = motion.model
         self.finger = finger

@@ -15,7 +15,7 @@ import numpy as np
 from megrasp_core.errors import DescriptionError, MegraspError
 from megrasp_core.grippers import FILE_NAME, MODEL_SUFFIXES, GripperDescription, load_description
 
-from .wizard import Request, new_gripper
+from .wizard import ModelRequest, new_gripper
 
 FACTS_FILE = "facts.json"
 JAW_LIMITS = (10.0, 0.010)
@@ -188,7 +188,7 @@ def table(score: Score) -> list[str]:
 
 def _row(name: str, model: Path, out: Path, fact: dict[str, Any], picture: bool) -> Row:
     try:
-        made = new_gripper(Request(model, out), picture=picture)
+        made = new_gripper(ModelRequest(model, out), picture=picture)
     except MegraspError as error:
         return Row(name, "?", None, None, None, False, {}, [str(error)])
     closing, approach, tcp = compare_with_facts(made.description, fact)

@@ -11,7 +11,7 @@ from megrasp_core.errors import DescriptionError
 from .fingers import Finger, joint_axes
 from .gaps import first_contact
 from .mechanism import Mechanism
-from .motion import Motion
+from .motion import DriveMotion
 from .opposition import Opposition
 
 OUTER = 0.65
@@ -22,7 +22,7 @@ TOUCH = 0.004
 SAMPLES = 25
 
 
-def oppose_single(mechanism: Mechanism, motion: Motion, finger: Finger) -> Opposition:
+def oppose_single(mechanism: Mechanism, motion: DriveMotion, finger: Finger) -> Opposition:
     """Return the opposition of one finger and the palm, its closed posture at the range's end.
 
     Raises:
@@ -64,7 +64,7 @@ def oppose_single(mechanism: Mechanism, motion: Motion, finger: Finger) -> Oppos
 
 
 def _room(
-    mechanism: Mechanism, motion: Motion, finger: Finger, lengths: NDArray[np.float64]
+    mechanism: Mechanism, motion: DriveMotion, finger: Finger, lengths: NDArray[np.float64]
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
     """Return the distance (m) from the jaw's end to the palm, and the nearest points (3,) of jaw
     and palm, model frame.

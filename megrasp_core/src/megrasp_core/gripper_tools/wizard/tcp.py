@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from .axes import Axes
 from .gaps import Gaps, first_contact
 from .mechanism import Mechanism
-from .motion import Motion
+from .motion import DriveMotion
 from .opposition import Opposition
 from .pads import Pad, find_pad
 from .profile import pad_profile
@@ -38,7 +38,7 @@ class PadFinder:
     """Pads of a jaw gripper in any posture; `length` (m) once it is known from the open one."""
 
     mechanism: Mechanism
-    motion: Motion
+    motion: DriveMotion
     opposition: Opposition
     axes: Axes
 
@@ -79,7 +79,7 @@ class PadFinder:
 
 
 def find_tcp(
-    motion: Motion,
+    motion: DriveMotion,
     opposition: Opposition,
     axes: Axes,
     pads: tuple[Pad | None, Pad | None],
@@ -110,7 +110,9 @@ def find_tcp(
     return _on_axis(beside + level * axes.approach, axes)
 
 
-def _centre(motion: Motion, opposition: Opposition, axes: Axes, pad: Pad) -> NDArray[np.float64]:
+def _centre(
+    motion: DriveMotion, opposition: Opposition, axes: Axes, pad: Pad
+) -> NDArray[np.float64]:
     """Return the point (3,) that the fingertips close towards, seen along the approach.
 
     It is the one nearest to the lines of the tips' motion; where these are parallel, the middle of
@@ -128,7 +130,7 @@ def _centre(motion: Motion, opposition: Opposition, axes: Axes, pad: Pad) -> NDA
     return np.linalg.solve(left, right).astype(np.float64)
 
 
-def _stays_parallel(motion: Motion, opposition: Opposition) -> bool:
+def _stays_parallel(motion: DriveMotion, opposition: Opposition) -> bool:
     before, after = motion.poses(opposition.open), motion.poses(opposition.closed)
     fingers = [finger for group in opposition.groups for finger in group]
     turns = [

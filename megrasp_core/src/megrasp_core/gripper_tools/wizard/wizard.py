@@ -36,7 +36,7 @@ Revise = Callable[[list[Finding], Overrides], Overrides | None]
 
 
 @dataclass(frozen=True)
-class Request:
+class ModelRequest:
     """What `megrasp gripper new` is asked for."""
 
     model: Path
@@ -73,7 +73,7 @@ class NewGripper:
 
 
 def new_gripper(
-    request: Request,
+    request: ModelRequest,
     revise: Revise | None = None,
     accept_scale: Callable[[float], bool] | None = None,
     picture: bool = True,
@@ -123,7 +123,7 @@ def new_gripper(
     return result
 
 
-def _labels(request: Request, prepared: Prepared) -> Labels:
+def _labels(request: ModelRequest, prepared: Prepared) -> Labels:
     # The registered name of a gripper is its folder's.
     name = request.name or valid_name(request.out.resolve().name)
     return Labels(

@@ -5,27 +5,33 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from megrasp_core.pointcloud import OrientedBox, support_plane, voxel_means
+from .box import OrientedBox
+from .plane import support_plane
+from .voxels import voxel_means
 
 FloatArray = NDArray[np.float64]
 
 VOXEL = 0.005
-#: Points this high above the surface (m) are objects: above the noise of depth cameras at arm's
-# length.
 MIN_HEIGHT = 0.010
-#: So many voxels (25 mm2 each, seen from above) make an object; fewer are stray points.
+"""Points this high above the surface (m) are objects: above the noise of depth cameras at arm's
+length."""
 MIN_VOXELS = 8
-#: Inner strip along the walls of the region (m) where wall and object cannot be told apart.
+"""So many voxels (25 mm2 each, seen from above) make an object; fewer are stray points."""
 WALL_STRIP = 0.012
+"""Inner strip along the walls of the region (m) where wall and object cannot be told apart."""
 
 
 def only_support_left(
     points: FloatArray, region: OrientedBox | None, gravity: FloatArray | None
 ) -> bool:
-    """Return True when the region shows its support surface and nothing on it.
+    """Whether the region shows its support surface and nothing on it.
 
-    points (N, 3) finite, region and gravity (3,) in one frame. False when no support surface is
-    found, since then objects may cover it.
+    False where no support surface is found, since then objects may cover it.
+
+    Args:
+        points: (N, 3) finite (m).
+        region: in the same frame; None: all points count.
+        gravity: (3,) in the same frame; None where unknown.
     """
     if region is not None:
         # Inwards at the sides, but down to below the floor and up to the rim.

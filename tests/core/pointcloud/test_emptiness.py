@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from megrasp_core.pointcloud import OrientedBox
-from megrasp_ros.server.floor import only_support_left
+from megrasp_core.pointcloud import OrientedBox, only_support_left
 
 REGION = OrientedBox.around([0, 0, 0.075], [0.4, 0.3, 0.15])
 DOWN = np.array([0.0, 0.0, -1.0])
