@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
 from megrasp_core.errors import InvalidRequestError
 from megrasp_core.pointcloud import read_cloud
 
+from .declaring import declare_once
 from .node_main import run_node
 from .sensor_messages import cloud_message
 
@@ -19,32 +19,13 @@ class CloudReplay(Node):
 
     def __init__(self) -> None:
         super().__init__("cloud_replay")
-        path = self.declare_parameter(
-            "file",
-            "",
-            ParameterDescriptor(
-                description="cloud file (.ply .pcd .npz .npy), metres", read_only=True
-            ),
-        ).value
-        self._frame = self.declare_parameter(
-            "frame_id",
-            "world",
-            ParameterDescriptor(description="frame of the file's points", read_only=True),
-        ).value
-        rate = self.declare_parameter(
-            "rate",
-            2.0,
-            ParameterDescriptor(
-                description="clouds per second (Hz)",
-                read_only=True,
-                floating_point_range=[FloatingPointRange(from_value=0.01, to_value=100.0)],
-            ),
-        ).value
+        path = declare_once(self, "file", "", "cloud file (.ply .pcd .npz .npy), metres")
+        self._frame = declare_once(self, "frame_id", "world", "frame of the file's points")
+        rate = declare_once(self, "rate", 2.0, "clouds per second (Hz)", low=0.01, high=100.0)
         if not path:
             raise InvalidRequestError(
                 "the parameter `file` is empty; expected the path of a .ply, .pcd, .npz or .npy "
-                "cloud, "
-                "for instance --ros-args -p file:=cloud.ply"
+                "cloud, for instance --ros-args -p file:=cloud.ply"
             )
         self._message = cloud_message(
             np.asarray(read_cloud(path).points),

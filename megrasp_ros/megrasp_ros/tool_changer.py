@@ -20,6 +20,7 @@ from std_msgs.msg import String
 
 from megrasp_core.errors import InvalidRequestError
 
+from .declaring import declare_once
 from .node_main import run_node
 from .qos import LATCHED
 from .waiting import wait_for_future
@@ -37,20 +38,15 @@ class ToolChanger(Node):
             "none",
             ParameterDescriptor(description=f"one of {', '.join(BACKENDS)}", read_only=True),
         ).value
-        target = self.declare_parameter(
+        target = declare_once(
+            self,
             "service",
             "changer/change_tool",
-            ParameterDescriptor(
-                description="the driver's ChangeTool service (backend `service`)", read_only=True
-            ),
-        ).value
-        mounted = self.declare_parameter(
-            "mounted",
-            "",
-            ParameterDescriptor(
-                description="tool that is mounted at the start; empty: none", read_only=True
-            ),
-        ).value
+            "the driver's ChangeTool service (backend `service`)",
+        )
+        mounted = declare_once(
+            self, "mounted", "", "tool that is mounted at the start; empty: none"
+        )
         self.declare_parameter(
             "timeout",
             60.0,
@@ -90,7 +86,7 @@ class ToolChanger(Node):
     def _ask_driver(self, request: ChangeTool.Request, response: ChangeTool.Response) -> None:
         assert self._driver is not None
         name = self._driver.srv_name
-        timeout = float(self.get_parameter("timeout").value)
+        timeout: float = self.get_parameter("timeout").get_parameter_value().double_value
         if not self._driver.wait_for_service(timeout_sec=timeout):
             response.message = (
                 f"no service {name} after {timeout:g} s; start the changer's driver or set the "

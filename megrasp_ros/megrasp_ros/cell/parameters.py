@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
 from megrasp_core.errors import InvalidRequestError
+from megrasp_ros.declaring import declare_once
 
 FRAMES = ("cell", "optical")
 
@@ -27,24 +28,16 @@ class CellParameters:
 
 def declare_cell_parameters(node: Node) -> CellParameters:
     """Declares and reads them. Raises InvalidRequestError for a frame that does not exist."""
-
-    def declare(name: str, default, description: str, **limits):
-        descriptor = ParameterDescriptor(description=description, read_only=True, **limits)
-        return node.declare_parameter(name, default, descriptor).value
-
+    declare = functools.partial(declare_once, node)
     parameters = CellParameters(
         seed=declare(
             "seed",
             1,
             "seed of objects, their places and the camera's noise",
-            integer_range=[IntegerRange(from_value=0, to_value=2**31 - 1, step=0)],
+            low=0,
+            high=2**31 - 1,
         ),
-        num_objects=declare(
-            "num_objects",
-            8,
-            "objects in the bin at the start",
-            integer_range=[IntegerRange(from_value=1, to_value=40, step=0)],
-        ),
+        num_objects=declare("num_objects", 8, "objects in the bin at the start", low=1, high=40),
         objects_dir=declare(
             "objects_dir", "", "folder of object folders to draw from; empty: procedural objects"
         ),
@@ -55,10 +48,7 @@ def declare_cell_parameters(node: Node) -> CellParameters:
         ),
         gripper=declare("gripper", "", "gripper at the start; empty: the first of the rack"),
         cloud_rate=declare(
-            "cloud_rate",
-            2.0,
-            "clouds per second while somebody listens (Hz)",
-            floating_point_range=[FloatingPointRange(from_value=0.1, to_value=30.0)],
+            "cloud_rate", 2.0, "clouds per second while somebody listens (Hz)", low=0.1, high=30.0
         ),
         frame=declare(
             "frame",

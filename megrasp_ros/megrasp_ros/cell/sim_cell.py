@@ -56,8 +56,8 @@ class SimCell(Node):
 
     def __init__(self) -> None:
         super().__init__("sim_cell")
-        self._parameters = declare_cell_parameters(self)
-        self._cell = make_cell(self._parameters)
+        self._settings = declare_cell_parameters(self)
+        self._cell = make_cell(self._settings)
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="cell")
         self._executing = False
         self._publishing = False
@@ -68,7 +68,7 @@ class SimCell(Node):
         self._tool_id = self.create_publisher(String, "tool_id", LATCHED)
         self._report_tool()
         group = ReentrantCallbackGroup()
-        self.create_timer(1.0 / self._parameters.cloud_rate, self._tick, callback_group=group)
+        self.create_timer(1.0 / self._settings.cloud_rate, self._tick, callback_group=group)
         self.create_service(ChangeTool, "change_tool", self._change_tool, callback_group=group)
         self._action = ActionServer(
             self,
@@ -126,7 +126,7 @@ class SimCell(Node):
             self._publishing = False
 
     def _cloud(self, view: CellView, stamp: TimeMessage) -> PointCloud2:
-        if self._parameters.frame == "cell":
+        if self._settings.frame == "cell":
             return cloud_message(view.cloud.points, frame=CELL_FRAME, stamp=stamp)
         cloud = view.cloud.transformed(np.linalg.inv(view.camera.world_from_camera))
         return cloud_message(cloud.points, frame=CAMERA_FRAME, stamp=stamp)

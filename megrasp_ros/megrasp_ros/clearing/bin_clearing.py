@@ -17,6 +17,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import rclpy
 from builtin_interfaces.msg import Time as TimeMessage
@@ -190,7 +191,7 @@ class BinClearing:
             return None
         return self._pictures.pick(attempt, cloud, answer.grasps, chosen, gripper)
 
-    def _leave(self, summary: dict[str, object]) -> None:
+    def _leave(self, summary: dict[str, Any]) -> None:
         if self._pictures is not None:
             summary["contact_sheet"] = self._pictures.contact_sheet(self._plan.records)
         path = self._out / "summary.json"

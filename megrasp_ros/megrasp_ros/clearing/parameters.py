@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 from megrasp_msgs.msg import OrientedBox
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
 from megrasp_core.errors import InvalidRequestError
+from megrasp_ros.declaring import declare_once
 
 
 @dataclass(frozen=True)
@@ -29,19 +30,7 @@ class ClearingParameters:
 
 def declare_clearing_parameters(node: Node) -> ClearingParameters:
     """Declares and reads them. Raises InvalidRequestError for a region that is no box."""
-
-    def declare(name: str, default, description: str, **limits):
-        descriptor = ParameterDescriptor(description=description, read_only=True, **limits)
-        return node.declare_parameter(name, default, descriptor).value
-
-    def seconds(name: str, default: float, description: str) -> float:
-        limit = FloatingPointRange(from_value=0.1, to_value=3600.0)
-        return declare(name, default, description, floating_point_range=[limit])
-
-    def whole(name: str, default: int, low: int, high: int, description: str) -> int:
-        limit = IntegerRange(from_value=low, to_value=high, step=0)
-        return declare(name, default, description, integer_range=[limit])
-
+    declare = functools.partial(declare_once, node)
     return ClearingParameters(
         grippers=list(
             declare(
@@ -50,10 +39,14 @@ def declare_clearing_parameters(node: Node) -> ClearingParameters:
                 "grippers in the order of use; each takes an equal share of the objects",
             )
         ),
-        num_objects=whole("num_objects", 8, 1, 1000, "objects in the bin at the start"),
-        tries=whole("tries", 3, 1, 100, "failures in a row after which an object is given up"),
-        num_grasps=whole("num_grasps", 20, 1, 10000, "grasps asked for before every pick"),
-        seed=whole("seed", 1, 1, 2**31 - 1, "the n-th synthesis uses seed + n"),
+        num_objects=declare("num_objects", 8, "objects in the bin at the start", low=1, high=1000),
+        tries=declare(
+            "tries", 3, "failures in a row after which an object is given up", low=1, high=100
+        ),
+        num_grasps=declare(
+            "num_grasps", 20, "grasps asked for before every pick", low=1, high=10000
+        ),
+        seed=declare("seed", 1, "the n-th synthesis uses seed + n", low=1, high=2**31 - 1),
         region=_region(
             declare(
                 "region.pose",
@@ -70,12 +63,16 @@ def declare_clearing_parameters(node: Node) -> ClearingParameters:
         pictures=declare(
             "pictures", True, "leave a picture before every pick and a contact sheet"
         ),
-        ready_timeout=seconds("ready_timeout", 60.0, "longest wait for the other nodes (s)"),
-        call_timeout=seconds("call_timeout", 120.0, "longest wait for one answer (s)"),
+        ready_timeout=declare(
+            "ready_timeout", 60.0, "longest wait for the other nodes (s)", low=0.1, high=3600.0
+        ),
+        call_timeout=declare(
+            "call_timeout", 120.0, "longest wait for one answer (s)", low=0.1, high=3600.0
+        ),
     )
 
 
-def _region(pose, size) -> OrientedBox:
+def _region(pose: list[float], size: list[float]) -> OrientedBox:
     if len(pose) != 7 or len(size) != 3:
         raise InvalidRequestError(
             f"region.pose has {len(pose)} and region.size {len(size)} numbers; expected 7 (x y z "

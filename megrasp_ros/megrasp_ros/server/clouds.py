@@ -102,9 +102,10 @@ class CloudSource:
                     data, fresh, seen = self._data, self._count != seen, self._count
                 job.check()
                 if fresh and data is not None:
-                    newest = deserialize_message(data, PointCloud2)
-                    if not self._too_old(newest, max_age, not_before):
-                        return newest
+                    message: PointCloud2 = deserialize_message(data, PointCloud2)
+                    newest = message
+                    if not self._too_old(message, max_age, not_before):
+                        return message
                 if time.monotonic() >= deadline:
                     raise self._failure(newest, timeout, max_age, not_before)
         finally:

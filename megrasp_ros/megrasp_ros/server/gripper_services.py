@@ -116,7 +116,8 @@ class GripperServices:
         if settings.pose_reference == "tcp":
             return gripper.gripper_from_tcp
         if settings.pose_reference == "flange":
-            return np.linalg.inv(parameters.flange_from_gripper(self._node, gripper))
+            flange = parameters.flange_from_gripper(self._node, gripper)
+            return np.asarray(np.linalg.inv(flange), np.float64)
         return None
 
     def _activate(self, gripper: Gripper, parameter: str) -> None:

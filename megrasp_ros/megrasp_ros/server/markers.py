@@ -22,11 +22,9 @@ def grasp_markers(grasps: GraspArray, gripper: Gripper | None) -> MarkerArray:
     """Return markers that replace the earlier ones; green is the best score, red the worst.
     Thickest is rank 0.
     """
-    markers = MarkerArray(
-        markers=[Marker(header=grasps.header, ns="grasps", action=Marker.DELETEALL)]
-    )
+    drawn = [Marker(header=grasps.header, ns="grasps", action=Marker.DELETEALL)]
     if gripper is None or not grasps.grasps:
-        return markers
+        return MarkerArray(markers=drawn)
     fork = _fork(gripper.description.max_width or _DEFAULT_WIDTH)
     for rank, grasp in enumerate(grasps.grasps[:MAX_DRAWN]):
         world_from_tcp = matrix_from_pose(grasp.tcp, "tcp")
@@ -39,8 +37,8 @@ def grasp_markers(grasps: GraspArray, gripper: Gripper | None) -> MarkerArray:
         score = float(np.clip(grasp.score, 0.0, 1.0))
         marker.color = ColorRGBA(r=1.0 - score, g=score, b=0.1, a=1.0 if rank == 0 else 0.6)
         marker.points = [Point(x=float(x), y=float(y), z=float(z)) for x, y, z in points]
-        markers.markers.append(marker)
-    return markers
+        drawn.append(marker)
+    return MarkerArray(markers=drawn)
 
 
 def _fork(width: float) -> NDArray[np.float64]:

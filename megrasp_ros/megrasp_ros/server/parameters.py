@@ -6,6 +6,7 @@ Changes are checked when they are made and take effect with the next request.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +85,8 @@ def flange_from_gripper(node: Node, gripper: Gripper) -> NDArray[np.float64]:
     """
     name = FLANGE_PREFIX + gripper.name
     if node.has_parameter(name):
-        return matrix_from_numbers(node.get_parameter(name).value, name)
+        numbers: Any = node.get_parameter(name).value
+        return matrix_from_numbers(numbers, name)
     described = gripper.description.flange_from_gripper
     return np.eye(4) if described is None else described.matrix()
 
@@ -114,7 +116,7 @@ def check_parameters(parameters: list[Parameter]) -> SetParametersResult:
 
 def read(node: Node) -> Settings:
     """Return the current values."""
-    values = {name: node.get_parameter(name).value for name in TABLE}
+    values: dict[str, Any] = {name: node.get_parameter(name).value for name in TABLE}
     values.pop("autostart")
     size, pose = list(values.pop("region.size")), values.pop("region.pose")
     region = (

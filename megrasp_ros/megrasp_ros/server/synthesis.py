@@ -129,6 +129,9 @@ class SynthesisRunner:
         gravity: FloatArray,
         step: OnStep,
     ) -> dict[str, Any]:
+        def told(phase: str, index: int, total: int) -> None:
+            step(_PHASES.get(phase, phase), index, total)
+
         return {
             "num_grasps": request.num_grasps,
             "drawn": max(settings.drawn, request.num_grasps),
@@ -141,7 +144,7 @@ class SynthesisRunner:
             "exclude": request.exclude,
             "exclude_radius": request.exclude_radius,
             "seed": request.seed,
-            "on_step": lambda phase, index, total: step(_PHASES.get(phase, phase), index, total),
+            "on_step": told,
             "cancelled": job.should_stop,
         }
 

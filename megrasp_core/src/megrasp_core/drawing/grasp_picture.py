@@ -29,8 +29,15 @@ MAX_POINTS = 150_000
 class DrawnGrasp(Protocol):
     """What a picture needs of a grasp: a `RankedGrasp`, or anything with these two."""
 
-    world_from_gripper: np.ndarray
-    score: float
+    @property
+    def world_from_gripper(self) -> np.ndarray:
+        """(4, 4) pre-grasp."""
+        ...
+
+    @property
+    def score(self) -> float:
+        """0..1."""
+        ...
 
 
 def save_grasp_picture(

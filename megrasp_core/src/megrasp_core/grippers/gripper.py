@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from megrasp_core.errors import InvalidRequestError
+from megrasp_core.meshes import Mesh
 
 from .cache import recalled
 from .clouds import GripperClouds, GripperTokens, make_clouds, make_tokens, surface_points
@@ -124,12 +125,8 @@ class Gripper:
         """Return gripper_from_body (nbody, 4, 4) of `self.model` in a posture."""
         return body_poses(self.model, self._posture(posture).qpos)
 
-    def meshes(
-        self, posture: str, which: str = "visual"
-    ) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
-        """Return (vertices (V, 3), faces (F, 3)) of every visual or collision geom in the gripper
-        frame.
-        """
+    def meshes(self, posture: str, which: str = "visual") -> list[Mesh]:
+        """Return the mesh of every visual or collision geom in the gripper frame."""
         return posed(self.body_meshes(which), self.body_poses(posture))
 
     def body_meshes(self, which: str = "visual") -> list[BodyMesh]:

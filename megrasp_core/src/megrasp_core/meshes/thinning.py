@@ -35,7 +35,7 @@ def thinned(meshes: Sequence[Mesh]) -> Sequence[Mesh]:
     return [_merged(vertices, faces, cell) for vertices, faces in meshes]
 
 
-def _area(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> float:
+def _area(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> float:
     """Estimate the area (m2) of a mesh from some of its triangles."""
     step = max(1, len(faces) // SAMPLE)
     corner = vertices[faces[::step]]
@@ -43,7 +43,7 @@ def _area(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> float:
     return step * float(np.linalg.norm(cross, axis=1).sum()) / 2.0
 
 
-def _merged(vertices: NDArray[np.float64], faces: NDArray[np.int64], cell: float) -> Mesh:
+def _merged(vertices: NDArray[np.float64], faces: NDArray[np.integer], cell: float) -> Mesh:
     """Merge the vertices of each cell (m) and drop the triangles that become lines or points."""
     low, high = vertices.min(axis=0, initial=np.inf), vertices.max(axis=0, initial=-np.inf)
     extent = float((high - low).max())

@@ -53,7 +53,7 @@ def pose_set(tcp: np.ndarray, gripper: Gripper, request: SynthesisRequest) -> Po
     approach = world_from_gripper.copy()
     back = -world_from_gripper[:, :3, 2]
     if request.approach_direction == "gravity" and request.gravity is not None:
-        back = np.broadcast_to(-request.gravity, back.shape)
+        back = np.broadcast_to(-np.asarray(request.gravity), back.shape)
     approach[:, :3, 3] += request.approach_distance * back
     return PoseSet(tcp, world_from_gripper, approach)
 

@@ -117,9 +117,9 @@ class SceneJudge:
         if contacts and probe.volume is not None:
             between = measure_contacts(self.material, probe.volume, poses.gripper, s.contact)
             check.reject(between.count < s.contact.min_points, "empty")
-        if request.exclude is not None:
-            again = excluded(poses.tcp, request.exclude, request.exclude_radius, probe.symmetry)
-            check.reject(again, "excluded")
+        failed = np.asarray(request.exclude)
+        again = excluded(poses.tcp, failed, request.exclude_radius, probe.symmetry)
+        check.reject(again, "excluded")
         score = score_grasps(check, between, confidence, s.rank)
         return Assessment(poses, check, between, confidence, score)
 
