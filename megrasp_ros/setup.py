@@ -1,5 +1,7 @@
 """Package of the ROS 2 nodes. The computation comes from the pip package megrasp_core."""
 
+from xml.etree import ElementTree
+
 from setuptools import find_packages, setup
 
 NAME = "megrasp_ros"
@@ -13,7 +15,7 @@ NODES = {
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version=ElementTree.parse("package.xml").findtext("version"),
     packages=find_packages(),
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),

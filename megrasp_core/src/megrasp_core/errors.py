@@ -1,6 +1,6 @@
 """Errors a user can meet. Each says what was given, what was expected and what to do next.
 
-`code` is the ROS error code of the error (see INTERFACES and `megrasp_msgs/msg/ErrorCode.msg`);
+`code` is the ROS error code of the error (`megrasp_msgs/msg/ErrorCode.msg`);
 the command
 line turns every `MegraspError` into exit code 2.
 """

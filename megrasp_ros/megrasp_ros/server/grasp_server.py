@@ -1,5 +1,5 @@
-"""Node that turns point clouds into grasps: topics, services, action and parameters of INTERFACES,
-"ROS 2".
+"""Node that turns point clouds into grasps: topics, services, action and parameters of
+docs/ros.md, "ROS 2".
 
 The node is thin. One worker thread computes (worker.py, engine.py, synthesis.py); the executor's
 threads only wait for it, so that cancelling, parameters and diagnostics stay responsive.

@@ -1,4 +1,4 @@
-"""Every own description against the CAD model of the same gripper (DESIGN 4: at equal joint
+"""Every own description against the CAD model of the same gripper (at equal joint
 values). Limits: `megrasp_core.gripper_tools.fidelity`.
 """
 

@@ -80,7 +80,7 @@ def test_score_is_the_derivative(sigma: float, form: Form) -> None:
 
 
 def test_score_is_the_residual_at_low_noise() -> None:
-    """DESIGN: within 2 % for sigma <= 0.5, and no longer above."""
+    """Within 2 % for sigma <= 0.5, and no longer above."""
 
     def worst(sigma: float) -> float:
         w = torch.linspace(0.01, 2.5 * sigma, 300, dtype=torch.float64)

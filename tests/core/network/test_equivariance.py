@@ -1,4 +1,4 @@
-"""The claim of DESIGN section 6: with the graph fixed, everything turns with the scene."""
+"""The claim of docs/architecture.md: with the graph fixed, everything turns with the scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bin clearing without ROS: a synthesizer empties a simulated bin (DESIGN section 7)."""
+"""Bin clearing without ROS: a synthesizer empties a simulated bin."""
 
 from __future__ import annotations
 

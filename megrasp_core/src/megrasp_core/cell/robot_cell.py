@@ -1,6 +1,6 @@
 """A robot cell in MuJoCo: a bin with objects, a top-down depth camera, a rack of grippers.
 
-It plays the robot of DESIGN section 7 (`binpick`) for the demo, the evaluation and the ROS node
+It plays the robot of the protocol `binpick` for the demo, the evaluation and the ROS node
 `sim_cell`: it shows a cloud, executes a grasp with its approach path by the one verdict, leaves
 the scene as the attempt leaves it, takes what was lifted out of the bin, and changes tools. No ROS
 here.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from tyro.extras import SubcommandApp
 
 from .calibrate import calibrate
@@ -26,52 +28,65 @@ from .objects import generate
 from .synthesize import synthesize
 from .train import train
 
-__all__ = ["app"]
+__all__ = ["COMMANDS", "app"]
+
+
+Command = Callable[..., int]
+
+COMMANDS: dict[str, Command | tuple[str, dict[str, Command]]] = {
+    "demo": demo,
+    "synthesize": synthesize,
+    "gripper": (
+        "List, show, check, draw and add grippers.",
+        {
+            "list": listed,
+            "show": show,
+            "check": check,
+            "render": render,
+            "new": new,
+            "sample": sample,
+            "fidelity": fidelity,
+            "frames": frames,
+            "postures": postures,
+            "score-wizard": score_wizard,
+        },
+    ),
+    "objects": ("Make objects to grasp.", {"generate": generate}),
+    "data": (
+        "Make, pack and check training data.",
+        {
+            "grasps": grasps,
+            "scenes": scenes,
+            "pack": pack,
+            "stats": stats,
+            "verify": verify,
+            "look": look,
+            "render": render_recipes,
+            "plan": plan,
+            "samples": samples,
+            "rollouts": rollouts,
+            "robust": robust,
+        },
+    ),
+    "train": train,
+    "eval": evaluation,
+    "calibrate": calibrate,
+    "compare": compare,
+    "bench": bench,
+}
+"""Every command by name; a group with what it is for."""
 
 
 def app() -> SubcommandApp:
     """All commands."""
     root = SubcommandApp()
-    root.command(demo)
-    root.command(synthesize)
-    grippers = _group(
-        list=listed,
-        show=show,
-        check=check,
-        render=render,
-        new=new,
-        sample=sample,
-        fidelity=fidelity,
-        frames=frames,
-        postures=postures,
-        score_wizard=score_wizard,
-    )
-    root.command(grippers, name="gripper", help="List, show, check, draw and add grippers.")
-    root.command(_group(generate=generate), name="objects", help="Make objects to grasp.")
-    data = _group(
-        grasps=grasps,
-        scenes=scenes,
-        pack=pack,
-        stats=stats,
-        verify=verify,
-        look=look,
-        render=render_recipes,
-        plan=plan,
-        samples=samples,
-        rollouts=rollouts,
-        robust=robust,
-    )
-    root.command(data, name="data", help="Make, pack and check training data.")
-    root.command(train)
-    root.command(evaluation, name="eval")  # type: ignore[call-overload]
-    root.command(calibrate)
-    root.command(compare)
-    root.command(bench)
+    for name, entry in COMMANDS.items():
+        if not isinstance(entry, tuple):
+            root.command(entry, name=name)  # type: ignore[call-overload]
+            continue
+        help, members = entry
+        group = SubcommandApp()
+        for member, function in members.items():
+            group.command(function, name=member)  # type: ignore[call-overload]
+        root.command(group, name=name, help=help)
     return root
-
-
-def _group(**functions: object) -> SubcommandApp:
-    group = SubcommandApp()
-    for name, function in functions.items():
-        group.command(function, name=name.replace("_", "-"))  # type: ignore[call-overload]
-    return group

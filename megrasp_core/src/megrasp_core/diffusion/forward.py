@@ -2,8 +2,8 @@
 
 Poses are r = (R, t) = world_from_tcp: rotations (..., 3, 3), translations (..., 3) in metres;
 levels s have the leading shape (...). Twists are 6 numbers [translation, rotation] in the frame
-of the noisy pose, in units of the level's noise, so their size is about one at every level.
-DESIGN section 6.
+of the noisy pose, in units of the level's noise, so their size is about one at every level. See
+docs/architecture.md, "Diffusion".
 """
 
 from __future__ import annotations

@@ -3,7 +3,8 @@
 A sampler is an iterator over steps. It computes nothing between two requests, so a caller cancels
 by no longer asking, keeps only the best poses between `descend` and `refine`, and reports
 progress. All randomness comes from the generator that is passed. Noise is drawn in the frame of
-the pose: with equal generator states the samples turn and move with the starts. DESIGN section 6.
+the pose: with equal generator states the samples turn and move with the starts. See
+docs/architecture.md, "Diffusion".
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Noise levels of the diffusion on SE(3). DESIGN section 6."""
+"""Noise levels of the diffusion on SE(3). See docs/architecture.md, "Diffusion"."""
 
 from __future__ import annotations
 

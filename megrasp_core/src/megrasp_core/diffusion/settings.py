@@ -20,7 +20,7 @@ KINDS: tuple[Kind, ...] = (
 
 @dataclass(frozen=True)
 class SamplerSettings:
-    """Sampler and its evaluations of the network. DESIGN section 6, "Default sampler".
+    """Sampler and its evaluations of the network. See docs/architecture.md, "Diffusion".
 
     Attributes:
         kind: `ancestral` (default, stochastic) and `deterministic` use the residual; `langevin`

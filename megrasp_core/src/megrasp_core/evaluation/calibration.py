@@ -1,5 +1,5 @@
 """Fits the score of a model to the verdict on its own grasps, in bins of objects that it was not
-trained on and that are not those of the final evaluation (DESIGN section 2, rates).
+trained on and that are not those of the final evaluation.
 """
 
 from __future__ import annotations

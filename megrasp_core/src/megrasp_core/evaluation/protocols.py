@@ -1,4 +1,4 @@
-"""The fixed protocols of DESIGN section 7: binpick, declutter, single."""
+"""The fixed protocols: binpick, declutter, single (docs/evaluation.md)."""
 
 from __future__ import annotations
 

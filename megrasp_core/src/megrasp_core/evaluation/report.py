@@ -1,4 +1,4 @@
-"""Runs a protocol over many scenes and writes its result file (DESIGN section 7)."""
+"""Runs a protocol over many scenes and writes its result file."""
 
 from __future__ import annotations
 

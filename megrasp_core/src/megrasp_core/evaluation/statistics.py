@@ -1,4 +1,4 @@
-"""Rates with intervals (DESIGN section 2).
+"""Rates with intervals (docs/architecture.md, "Rates").
 
 Samples of one scene share its luck, so their rate gets a cluster bootstrap over scenes; first
 grasps are nearly

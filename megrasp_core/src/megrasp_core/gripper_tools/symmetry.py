@@ -1,6 +1,4 @@
-"""How symmetric a gripper is about its approach axis (DESIGN section 4: the residual is measured,
-not assumed).
-"""
+"""How symmetric a gripper is about its approach axis: measured, not assumed."""
 
 from __future__ import annotations
 

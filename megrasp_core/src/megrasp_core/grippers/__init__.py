@@ -1,4 +1,6 @@
-"""Grippers: descriptions, URDF/MJCF loading, postures, renderer, registry (DESIGN section 4)."""
+"""Grippers: descriptions, URDF/MJCF loading, postures, renderer, registry (docs/architecture.md,
+"Grippers").
+"""
 
 from .actuation import free_name
 from .clouds import NEAR_TCP, GripperClouds, GripperTokens, make_clouds, surface_points

@@ -1,4 +1,4 @@
-"""The gripper description: `gripper.yaml` of DESIGN section 4, read strictly."""
+"""The gripper description: `gripper.yaml`, read strictly (docs/own_gripper.md)."""
 
 from __future__ import annotations
 

@@ -27,8 +27,7 @@ TOKEN_CLOUD = 1024
 
 
 class Gripper:
-    """A gripper ready for rendering, simulation and the network. Frames and words: DESIGN section
-    2.
+    """A gripper ready for rendering, simulation and the network. Frames and words:
 
     Loading compiles the model and checks the whole description, so a Gripper that exists is valid.
     Results that cost time are kept on the instance, clouds and collision points also on disk

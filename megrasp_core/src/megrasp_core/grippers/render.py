@@ -1,6 +1,4 @@
-"""The renderer: outer surface of a posed gripper by casting rays at it from all around (DESIGN
-section 4).
-"""
+"""The renderer: outer surface of a posed gripper by casting rays at it from all around."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Runs independent units of work: here, in a pool of processes, or over a Ray cluster (DESIGN
-section 5).
+"""Runs independent units of work: here, in a pool of processes, or over a Ray cluster.
 
 Results come back to the calling process, which alone writes files; a worker that dies costs the
 unit it held, and that unit is tried again.

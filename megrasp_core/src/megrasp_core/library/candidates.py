@@ -1,5 +1,4 @@
-"""Antipodal grasp candidates on an object (DESIGN section 5; the paper's single sampling
-strategy).
+"""Antipodal grasp candidates on an object: the paper's single sampling strategy.
 
 Two surface points with opposing normals give the closing axis; the approach is drawn around it and
 the depth along it. Jaws and three-finger grippers bring their TCP between the points. The fingers

@@ -1,5 +1,5 @@
 """Labels grasp candidates of single objects in the free-space trial and fills a library folder
-(DESIGN section 5).
+(docs/architecture.md, "Data").
 """
 
 from __future__ import annotations

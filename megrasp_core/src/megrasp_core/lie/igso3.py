@@ -3,7 +3,7 @@
 A rotation Exp(w n) has an axis n uniform on the sphere and an angle w in [0, pi] with the density
 f(w; sigma) (1 - cos w) / pi; f is the density with respect to the normalised Haar measure, so
 f -> 1 for large sigma. All sums run in float64 and return the dtype of the angles: the series
-cancels by up to ten digits. DESIGN section 6 (there sigma^2 is the paper's t).
+cancels by up to ten digits. The paper's t is sigma^2.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The two forms of the isotropic Gaussian's density on SO(3), with slopes, in float64.
 
-See `megrasp_core.lie.igso3` for the conventions and for which one to use. DESIGN section 6.
+See `megrasp_core.lie.igso3` for the conventions and for which one to use.
 """
 
 from __future__ import annotations

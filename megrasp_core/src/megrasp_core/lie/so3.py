@@ -1,7 +1,7 @@
 """Rotations: SO(3) as (..., 3, 3) matrices and its Lie algebra as (..., 3) rotation vectors (rad).
 
 Every function is batched over leading dimensions, keeps dtype and device of its input and has
-finite gradients everywhere it is differentiable, the identity included. DESIGN section 6.
+finite gradients everywhere it is differentiable, the identity included.
 """
 
 from __future__ import annotations

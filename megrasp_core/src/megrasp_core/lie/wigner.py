@@ -3,7 +3,8 @@
 Basis and order are e3nn's: for l = 1 the components are (x, y, z), so D1 = R; for l = 2 they are
 (xz, xy, 2yy - xx - zz, yz, zz - xx), each scaled to unit norm. D2 = Q^T (R kron R) Q, where the
 columns of Q are these five symmetric traceless matrices (e3nn's normalised `wigner_3j(1, 1, 2)`).
-Polynomials in R, hence exact, batched and smooth at every pose. DESIGN section 6.
+Polynomials in R, hence exact, batched and smooth at every pose. See docs/architecture.md,
+"Network".
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from .irreps import multiplicities
 
 @dataclasses.dataclass(frozen=True)
 class ModelConfig:
-    """Sizes of one network (DESIGN section 6).
+    """Sizes of one network (docs/architecture.md, "Network").
 
     Irreps are written as e3nn does; parity is natural (0e, 1o, 2e).
     """

@@ -5,7 +5,7 @@ With r = (R, t) = world_from_tcp every chosen node is taken to x' = R^T (x - t),
 There everything
 is invariant, so that plain dense layers follow and the prediction, expressed in the TCP frame, is
 exactly
-equivariant (DESIGN section 6).
+equivariant (docs/architecture.md, "Network").
 """
 
 from __future__ import annotations

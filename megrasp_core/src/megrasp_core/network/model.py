@@ -39,7 +39,9 @@ class Prediction:
 
 
 class GraspModel(nn.Module):
-    """p(world_from_tcp | gripper, scene, gravity) as a denoiser on SE(3) (DESIGN section 6)."""
+    """p(world_from_tcp | gripper, scene, gravity) as a denoiser on SE(3) (docs/architecture.md,
+    "Network").
+    """
 
     def __init__(self, config: ModelConfig, *, model_id: str = "untrained") -> None:
         super().__init__()

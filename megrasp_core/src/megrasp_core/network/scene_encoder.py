@@ -55,7 +55,7 @@ class SurfaceInput:
 
 
 class SceneEncoder(nn.Module):
-    """U-Net of `Block`s with skip connections (DESIGN section 6).
+    """U-Net of `Block`s with skip connections (docs/architecture.md, "Network").
 
     With `config.fine_neighbours` the first block of the finest level gathers voxel points of the
     surface instead of neighbouring nodes, so that detail finer than the nodes' spacing comes in.

@@ -1,4 +1,4 @@
-"""Object folders: `visual.obj`, `collision.npz`, `meta.json` (the format of INTERFACES)."""
+"""Object folders: `visual.obj`, `collision.npz`, `meta.json`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Objects from a seed: unlimited, with exact mass and convex pieces (DESIGN section 5)."""
+"""Objects from a seed: unlimited, with exact mass and convex pieces."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the camera's cloud to the scene encoder's input, in training and use (DESIGN 6).
+"""From the camera's cloud to the scene encoder's input, in training and use.
 
 Every step turns and moves with the cloud, the sensor, gravity and the region, up to rounding, but
 one: the grid of the voxel means belongs to the frame. The claim of exact equivariance therefore

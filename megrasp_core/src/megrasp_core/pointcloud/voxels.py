@@ -1,7 +1,7 @@
 """Voxel means: one point for each occupied cell of a grid.
 
 Means and not cell centres: centres jump by a whole cell when the cloud turns a little, and with
-them the neighbours that the scene encoder sees (DESIGN section 6).
+them the neighbours that the scene encoder sees.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Ranking: collision with seen and unseen space, contact between the fingers, score (DESIGN
-section 6).
+"""Ranking: collision with seen and unseen space, contact between the fingers, score
+(docs/architecture.md, "Ranking").
 """
 
 from .calibration import FEATURES, Calibration, fit_calibration, logistic_features

@@ -1,6 +1,4 @@
-"""What the camera saw and did not see, as a test for arbitrary points (DESIGN section 6,
-ranking).
-"""
+"""What the camera saw and did not see, as a test for arbitrary points."""
 
 from __future__ import annotations
 
@@ -37,8 +35,7 @@ class ObservationSettings:
     """How points are classified.
 
     Attributes:
-        margin: half thickness of the band around the seen surface that counts as touching (m):
-            DESIGN's 3 mm.
+        margin: half thickness of the band around the seen surface that counts as touching (m).
         shell: behind the seen surface, a point is taken to be inside the seen body down to this
             depth (m) and unknown beyond it. A gripper that enters a body from its seen side has to
             cross this shell.

@@ -117,7 +117,7 @@ def excluded(
 
 
 def rejection_counts(reason: np.ndarray) -> dict[str, int]:
-    """Number of grasps per reason; the reasons of INTERFACES are always present, the others where
+    """Number of grasps per reason; those of `REASONS` are always present, the others where
     they occur.
     """
     counts: dict[str, int] = {name: 0 for name in ALWAYS_COUNTED}

@@ -1,6 +1,4 @@
-"""What the camera sees of a scene: the same noise and preprocessing as at inference (DESIGN
-sections 5 and 6).
-"""
+"""What the camera sees of a scene: the same noise and preprocessing as at inference."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Robust labels: grasps tried again under other conditions (DESIGN section 5).
+"""Robust labels: grasps tried again under other conditions (docs/architecture.md, "Data").
 
 One simulation at one friction and one exact pose flatters. A grasp is tried ROBUST_TRIALS times
 more, each time with its pose, the friction, the mass and the force drawn anew, and the share that

@@ -1,6 +1,4 @@
-"""Labels of one gripper in a settled scene: which free grasps hold when tried in the heap (DESIGN
-section 5).
-"""
+"""Labels of one gripper in a settled scene: which free grasps hold when tried in the heap."""
 
 from __future__ import annotations
 
@@ -23,7 +21,7 @@ from .scene_grasps import Poses, SceneGrasps, SceneProposer
 
 NEAR_METRES = (0.002, 0.010)
 NEAR_RADIANS = (0.05, 0.3)
-"""Least and largest move of a near miss (DESIGN section 5)."""
+"""Least and largest move of a near miss."""
 
 
 class SceneLabeller:

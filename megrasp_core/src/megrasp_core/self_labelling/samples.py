@@ -1,6 +1,4 @@
-"""The model's own samples, tried in simulation: what its confidence has to tell apart (DESIGN
-section 6).
-"""
+"""The model's own samples, tried in simulation: what its confidence has to tell apart."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a real depth camera does to a depth image (DESIGN section 5).
+"""What a real depth camera does to a depth image.
 
 Every effect has a name in `EFFECTS` and can be switched off alone; a seed fixes all of them, and
 what one effect draws does not depend on which others are on.

@@ -1,4 +1,4 @@
-"""Free-space trial: one object floats without gravity, as labels need it (DESIGN 2 and 5).
+"""Free-space trial: one object floats without gravity, as labels need it.
 
 (a) and (b) of the verdict against the object alone, then +-5 cm at 2 Hz for 1 s along the
 gripper's approach and Y axes and +-0.4 rad at 2 Hz for 1 s about its closing and Y axes through

@@ -1,4 +1,4 @@
-"""Where cameras stand: the three ways in which a scene is looked at (DESIGN section 2)."""
+"""Where cameras stand: the three ways in which a scene is looked at."""
 
 from __future__ import annotations
 

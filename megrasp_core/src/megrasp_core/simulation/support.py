@@ -1,7 +1,7 @@
 """What objects lie on: the table plane and, on it, an open bin.
 
 World frame: z up, the support surface is z = 0, the bin stands centred on the origin with its
-edges along x and y (DESIGN section 2), or is propped up on one side.
+edges along x and y, or is propped up on one side.
 """
 
 from __future__ import annotations

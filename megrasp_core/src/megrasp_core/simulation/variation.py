@@ -22,7 +22,7 @@ from megrasp_core.errors import SimulationError
 from .world import GRIPPER, World
 
 TORSIONAL, ROLLING = 0.01, 0.0001
-"""Friction of the gripper's contacts besides the sliding one (DESIGN section 2), which all
+"""Friction of the gripper's contacts besides the sliding one, which all
 objects have by default.
 """
 

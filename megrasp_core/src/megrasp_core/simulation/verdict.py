@@ -1,4 +1,5 @@
-"""The one verdict on a grasp, used for labels, evaluation and the robot cell (DESIGN section 2).
+"""The one verdict on a grasp, used for labels, evaluation and the robot cell
+(docs/architecture.md, "Verdict").
 
 (a) The open gripper at the pre-grasp, and on ten poses of the approach if there is one, penetrates
     nothing by more than 1 mm. (b) It closes for 0.6 s within the description's force limits. (c)
@@ -52,7 +53,7 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True)
 class TrialSettings:
-    """Numbers of the verdict; the defaults are DESIGN's and stay for every reported figure.
+    """Numbers of the verdict; the defaults stay for every reported figure.
 
     close_ramp: the finger command goes from open to closed in this time and stays there till
         close_time.

@@ -1,7 +1,7 @@
 """The records that the generator makes: labels of one object, labels of one scene.
 
 Poses are `world_from_tcp` (or `object_from_tcp`) as seven numbers [x, y, z, qx, qy, qz, qw],
-metres; the TCP frame has +Z as approach and +X as closing axis (DESIGN section 2).
+metres; the TCP frame has +Z as approach and +X as closing axis.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ NOT_TRIED = -1
 """
 
 ROBUST_TRIALS = 4
-"""So often a grasp is tried again for its robust label (DESIGN section 5)."""
+"""So often a grasp is tried again for its robust label."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -94,7 +94,7 @@ class Synthesis:
     extra: dict[str, Any] = field(default_factory=dict)
 
     def to_json(self, frame: str = "world") -> dict[str, Any]:
-        """Content of grasps.json (see INTERFACES).
+        """Content of grasps.json (docs/frames.md).
 
         Args:
             frame: name of the frame that the poses are in.

@@ -41,8 +41,8 @@ class SceneLosses:
 def nearest_copies(rotation: Tensor, noisy: Tensor, fold: Tensor) -> Tensor:
     """Of each pose the copy, turned about its own +Z, that is nearest to its noisy pose.
 
-    An n-fold gripper looks the same after a turn by 2 pi / n about the TCP's +Z (DESIGN section
-    4), so any copy is as good a target; their mean, which a residual learns otherwise, is none.
+    An n-fold gripper looks the same after a turn by 2 pi / n about the TCP's +Z, so any copy is
+    as good a target; their mean, which a residual learns otherwise, is none.
 
     Args:
         rotation: `(P, 3, 3)` R_0.

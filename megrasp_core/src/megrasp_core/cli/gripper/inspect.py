@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["check", "listed", "render", "show"]
 
 SYMMETRY_WARNING = 0.003
-"""Residual of the stated symmetry over which `check` warns (m), as DESIGN section 4 says."""
+"""Residual of the stated symmetry over which `check` warns (m)."""
 
 SYMMETRY_POINTS = 4096
 """Points of the surface that is turned: their spacing bounds what can be told apart."""
@@ -97,7 +97,7 @@ def check(
     residual = _symmetry_residual(gripper)
     report["symmetry_residual_p95"] = residual
     if residual > SYMMETRY_WARNING:
-        # Real grippers are not exactly symmetric (DESIGN section 4): nothing to fail for.
+        # Real grippers are not exactly symmetric: nothing to fail for.
         warnings.append(
             f"after a turn by 1/{gripper.description.symmetry} the open surface differs by "
             f"{1000 * residual:.1f} mm (p95); expected at most {1000 * SYMMETRY_WARNING:.0f} mm"
