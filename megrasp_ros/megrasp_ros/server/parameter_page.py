@@ -1,6 +1,6 @@
 """The table of parameters in docs/ros.md.
 
-    python -m megrasp_ros.server.parameter_page docs/ros.md
+python -m megrasp_ros.server.parameter_page docs/ros.md
 """
 
 from __future__ import annotations
