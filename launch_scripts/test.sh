@@ -4,7 +4,7 @@
 #
 #   bash launch_scripts/test.sh [pytest arguments]
 #
-# Variables: those of setup.sh; MEGRASP_ASSETS, the folder of real grippers and objects (tests that need it are
+# Variables: those of setup.sh; MEGRASP_TEST_WORKERS, processes that share the tests (by default one a core, two at most); MEGRASP_ASSETS, the folder of real grippers and objects (tests that need it are
 # skipped without); MEGRASP_JUNIT, a file for pytest's JUnit report.
 
 set -euo pipefail
@@ -37,6 +37,9 @@ echo "[test] pytest"
 # dash comes with open3d and brings a pytest plugin that nobody needs here
 # The same examples in every run, so that a run tells of this change; `pytest tests` alone draws new ones.
 options=(-q -p no:dash --hypothesis-profile=ci)
+cores="$(nproc)"
+# A file stays in one process, so that what its tests share is made once.
+options+=(-n "${MEGRASP_TEST_WORKERS:-$((cores < 2 ? cores : 2))}" --dist loadfile)
 if [ -n "${MEGRASP_JUNIT:-}" ]; then options+=("--junitxml=$MEGRASP_JUNIT"); fi
 python -m pytest "${options[@]}" "$@" || status=1
 

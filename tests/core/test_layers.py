@@ -147,6 +147,7 @@ def test_no_file_imports_ros() -> None:
     assert not offenders
 
 
+@pytest.mark.slow
 def test_importing_every_module_loads_no_ros() -> None:
     names = [info.name for info in pkgutil.walk_packages(megrasp_core.__path__, "megrasp_core.")]
     code = (

@@ -35,8 +35,15 @@ def default_signals() -> None:
 
 
 def own_domain(offset: int) -> int:
-    """A ROS domain of this test session, apart from those of other sessions on the machine."""
-    return 20 + (os.getpid() * 7 + offset) % 180
+    """A ROS domain of this test session and worker, apart from those of others on the machine.
+
+    Args:
+        offset: 1 to 7, another one for everything that runs at the same time in one worker.
+    """
+    worker = os.environ.get("PYTEST_XDIST_WORKER")
+    run = os.getpid() if worker is None else os.getppid()
+    number = 0 if worker is None else int(worker.removeprefix("gw"))
+    return 20 + (run * 16 + number * 8 + offset) % 180
 
 
 class Processes:

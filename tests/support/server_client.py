@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import threading
 import time
@@ -11,7 +10,15 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from cell_processes import WAIT, Processes, in_executor, processes, result, spinning_node
+from cell_processes import (
+    WAIT,
+    Processes,
+    in_executor,
+    own_domain,
+    processes,
+    result,
+    spinning_node,
+)
 from geometry_msgs.msg import PoseArray
 from megrasp_msgs.action import GenerateGrasps
 from megrasp_msgs.msg import GraspArray, GripperInfo
@@ -36,11 +43,6 @@ START = 240.0
 MOUNTED = "flange_from_gripper__robotiq_2f85"
 MOUNTING = [0.0, 0.0, 0.012, 0.0, 0.0, 0.38268343, 0.92387953]
 """Where the server is told that the gripper is on the flange: as docs/frames.md has it."""
-
-
-def domain(offset: int) -> int:
-    """Return a ROS domain of this test session, apart from that of others on the machine."""
-    return 20 + (os.getpid() * 7 + offset) % 180
 
 
 class Client:
@@ -120,7 +122,10 @@ def running_server(
     offset: int, folder: Path, *, double: bool = True, **parameters: object
 ) -> Iterator[tuple[Client, Processes]]:
     """Yield a client of a fresh grasp_server process; `double` puts the test double into it."""
-    with processes(domain(offset), folder) as running, spinning_node(domain(offset)) as node:
+    with (
+        processes(own_domain(offset), folder) as running,
+        spinning_node(own_domain(offset)) as node,
+    ):
         if double:
             running.start_command("grasp_server", [sys.executable, str(DOUBLE)], **parameters)
         else:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 
+import pytest
+
 from megrasp_core.benchmarks.rendering import bench_rendering
 
 
+@pytest.mark.slow
 def test_bench_rendering() -> None:
     """A row for each gripper and for the million triangles, and the sums agree with the rows."""
     told: list[tuple[int, int]] = []

@@ -15,6 +15,7 @@ ROOT = Path(__file__).resolve().parents[3]
 RACK = ("robotiq_2f85", "franka_hand", "robotiq_3f", "allegro_hand")
 
 
+@pytest.mark.slow
 def test_a_contestant_is_timed_in_a_process_of_its_own(tmp_path):
     data = written(tmp_path / "data", (record(seed, grippers=RACK) for seed in range(7)))
     scenes = bench._rich_scenes(data)

@@ -60,6 +60,7 @@ def cell(monkeypatch):
     return made
 
 
+@pytest.mark.slow
 def test_the_bin_is_emptied_and_drawn(cell, tmp_path):
     synthesizer = ScriptedSynthesizer(cell)
     seen = []

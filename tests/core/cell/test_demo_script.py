@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("megrasp_msgs", reason="the workspace is not built or not sourced")
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -56,6 +56,7 @@ def test_the_table_holds_what_a_description_holds() -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_command_draws_and_writes_the_page(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

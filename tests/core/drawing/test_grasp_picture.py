@@ -44,6 +44,7 @@ def where(difference: np.ndarray) -> np.ndarray:
     return np.array([columns.mean(), rows.mean()])
 
 
+@pytest.mark.slow
 def test_the_top_view_shows_x_to_the_right_and_y_upwards(gripper):
     empty = panels(draw_grasps(cloud(), [], gripper, region=REGION))[0]
     middle = np.array(PANEL) / 2
@@ -54,6 +55,7 @@ def test_the_top_view_shows_x_to_the_right_and_y_upwards(gripper):
         np.testing.assert_allclose(offset, [x * scale, -y * scale], atol=0.02 * scale)
 
 
+@pytest.mark.slow
 def test_the_chosen_gripper_is_drawn_and_none_where_none_is_chosen(gripper):
     ranked = [grasp(gripper, 0.1, 0.05, 0.9), grasp(gripper, -0.1, -0.05, 0.5)]
     without, first, second = (

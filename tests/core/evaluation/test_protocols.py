@@ -67,6 +67,7 @@ def test_a_grasp_in_the_air_fails_and_is_excluded_next_time(gripper, pool):
     assert planner.asked[0]["walls"] and planner.asked[0]["region"] is not None
 
 
+@pytest.mark.slow
 def test_antipodal_baseline_lifts_single_boxes(gripper, pool):
     """Boxes alone on a table are the baseline's home ground."""
     graspable = graspable_objects(gripper, pool)

@@ -14,8 +14,10 @@ from gripper_cases import OWN_JAWS
 from megrasp_core.gripper_tools.compare import outer_points, surface_distance
 from megrasp_core.gripper_tools.fidelity import fidelity, markdown_table, text_table
 from megrasp_core.grippers import Gripper, Pose, cad_twins, load_gripper
+from megrasp_core.meshes import Mesh
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "twin"), cad_twins().items())
 def test_like_the_cad(name: str, twin: str, assets: Path) -> None:
     """Surfaces, TCP, opening and pad motion are within the limits, 20 000 points a posture."""
@@ -75,7 +77,7 @@ def test_outer_points_follow_the_area() -> None:
          [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
     )  # fmt: skip
     large, small, hidden = 0.1 * side, 0.05 * side + [0.2, 0, 0], 0.02 * side + 0.04
-    meshes = [(large, faces), (small, faces), (hidden, faces)]
+    meshes = [Mesh(part, faces) for part in (large, small, hidden)]
     points = outer_points(meshes, 2000, seed=1)
     assert points.shape == (2000, 3)
     assert surface_distance(points, meshes[:2]).max() < 1e-6

@@ -133,6 +133,7 @@ def test_wrong_settings() -> None:
         PostureSearchSettings(scale=-1)
 
 
+@pytest.mark.slow
 def test_true_trials() -> None:
     """One object, ten grasps: the same counts again; a hand that stays open holds nothing."""
     space = PostureSpace(load_gripper("shadow_dexee"))
@@ -148,6 +149,7 @@ def test_true_trials() -> None:
     assert measure(Task(tuple(open_only), seed, 10, 0.004), "shadow_dexee", 0).held == 0
 
 
+@pytest.mark.slow
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Writes the file, prints both rates; says 1 where nothing better was found."""
     out = tmp_path / "found.json"

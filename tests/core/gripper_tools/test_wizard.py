@@ -60,6 +60,7 @@ def test_own_models_are_understood(tmp_path, name):
         assert result.description.max_width == pytest.approx(original.max_width, rel=0.15)
 
 
+@pytest.mark.slow
 def test_real_grippers_score(assets):
     """At least 11 of the 13 real models, their measured facts hidden."""
     score = score_assets(assets / "grippers")

@@ -175,6 +175,7 @@ for _ in range(60):
 """
 
 
+@pytest.mark.slow
 def test_several_may_write_at_once(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Two processes and two threads meet only whole files, and leave nothing else behind."""
     others = [

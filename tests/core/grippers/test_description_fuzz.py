@@ -8,6 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -73,6 +74,7 @@ def test_the_unchanged_description_loads(tmp_path: Path) -> None:
     load(tmp_path)
 
 
+@pytest.mark.slow
 @QUICK
 @given(place=st.sampled_from(PLACES), value=VALUES, drop=st.booleans())
 def test_any_value_anywhere(place: tuple[Any, ...], value: Any, drop: bool) -> None:

@@ -176,6 +176,7 @@ print(b"".join(array.tobytes() for array in vars(clouds).values()).hex())
 """
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_cache")
 def test_every_process_renders_the_same() -> None:
     """Bit for bit."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+import pytest
 from made_library import made_library
 
 from megrasp_core.cli.data.pack import pack
@@ -20,6 +21,7 @@ def busy(seconds: float) -> float:
     return seconds
 
 
+@pytest.mark.slow
 def test_the_units_seconds_are_counted_where_they_are_worked_on():
     for workers in (1, 2):
         summary = run_units(

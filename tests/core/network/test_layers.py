@@ -176,6 +176,7 @@ def test_irreps_of_other_parity_or_order_are_refused():
             multiplicities(wrong)
 
 
+@pytest.mark.slow
 def test_nearest_nodes_against_brute_force():
     torch.manual_seed(0)
     points, probes = torch.randn(200, 3), torch.randn(5, 8, 3)

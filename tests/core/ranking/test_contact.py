@@ -91,6 +91,7 @@ def test_sides_that_face_the_fingers_are_better_than_slanted_ones(probe):
 WIDER = {"google_gripper": 0.032, "google_gripper_cad": 0.032}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list_grippers())
 def test_the_closing_volume_of_every_gripper_opens_to_its_width(name):
     gripper = load_gripper(name)

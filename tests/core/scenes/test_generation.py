@@ -270,6 +270,7 @@ def test_a_recipe_renders_the_same_cloud(scene, tmp_path):
         assert frozen(getattr(again, name)) == frozen(getattr(scene, name)), name
 
 
+@pytest.mark.slow
 def test_runs_resume_and_processes_give_the_same_scenes(packed, scene, tmp_path):
     job = SceneJob(CONFIG, packed, OBJECTS)
     summary = generate_scenes(tmp_path / "one", job, [5])
@@ -292,6 +293,7 @@ def test_runs_resume_and_processes_give_the_same_scenes(packed, scene, tmp_path)
     assert manifest["counts"] == {"scenes": 2} and manifest["versions"]["mujoco"]
 
 
+@pytest.mark.slow
 def test_ray_makes_the_same_library_and_scenes_bit_for_bit(packed, ray_cluster, tmp_path):
     where = ExecutorConfig("ray", workers=2)
     config = LibraryConfig(("robotiq_2f85",), OBJECTS, settings=LABELS)

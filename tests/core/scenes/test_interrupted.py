@@ -20,6 +20,8 @@ from megrasp_core.scenes import SceneConfig, SceneJob, generate_scenes
 from megrasp_core.storage import SceneDataset, verify_dataset
 from megrasp_core.storage.scene_dataset import record_arrays
 
+pytestmark = pytest.mark.slow
+
 GRIPPER = "robotiq_2f85"
 OBJECTS = training_objects(6, assets=False)
 COMMON = ("--gripper", GRIPPER, "--procedural", "6", "--no-assets")
@@ -66,6 +68,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_library_terminated_on_the_way(library, tmp_path):
     out = tmp_path / "library"
     command = ("grasps", "--out", str(out), "--target", "3")
@@ -85,6 +88,7 @@ def test_a_library_terminated_on_the_way(library, tmp_path):
     }
 
 
+@pytest.mark.slow
 def test_scenes_of_two_workers_stopped_by_ctrl_c(library, tmp_path):
     out, seeds = tmp_path / "scenes", range(4)
     run = start(

@@ -228,6 +228,7 @@ def arrays(folder: Path) -> dict[str, list[bytes]]:
     }
 
 
+@pytest.mark.slow
 def test_a_run_resumes_and_processes_give_the_same_labels(data, record, tmp_path, capsys):
     assert main(options(data, tmp_path / "one", "-n", 3)) == 0
     assert "4 grasps" in capsys.readouterr().out

@@ -78,6 +78,7 @@ def test_the_heads_train_on_stages_without_a_success(folder):
     assert not batch.positives and len(batch.labelled["robotiq_2f85"]) == len(table)
 
 
+@pytest.mark.slow
 def test_calibration_from_judged_grasps():
     gripper = load_gripper("robotiq_2f85")
     pool = [procedural_object(seed, kind="box") for seed in range(6)]

@@ -143,6 +143,7 @@ def test_visual_geometry_that_weighs_something_stays(inertia, compiler, left):
     assert locked.body_mass[1] == gripper.model.body_mass[1]
 
 
+@pytest.mark.slow
 def test_grasps_of_a_locked_hand_hold_as_before():
     hand, box = load_gripper("shadow_hand_3f"), make_box((0.035, 0.035, 0.08))
     poses = antipodal(box, hand, 24, np.random.default_rng(0)).object_from_gripper

@@ -193,6 +193,7 @@ def test_colours_are_those_of_the_objects_unless_light_is_asked_for(world: World
     assert colors is not None and len(np.unique(colors, axis=0)) <= 3
 
 
+@pytest.mark.slow
 def test_drawn_light_and_paint_differ_by_seed_and_are_kept_in_files(
     world: World, tmp_path: Path
 ) -> None:

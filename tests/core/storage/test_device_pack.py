@@ -209,12 +209,13 @@ def test_training_sees_the_same_in_a_pack_as_in_its_folder(data, tmp_path, capsy
         np.testing.assert_allclose(found.nodes.points, true.nodes.points, atol=2e-5)
         for name, poses in true.positives.items():
             same = found.positives[name]
-            np.testing.assert_allclose(same.translation, poses.translation, atol=2e-5)
-            np.testing.assert_allclose(same.rotation, poses.rotation, atol=2e-4)
+            np.testing.assert_allclose(same.poses.translation, poses.poses.translation, atol=2e-5)
+            np.testing.assert_allclose(same.poses.rotation, poses.poses.rotation, atol=2e-4)
             np.testing.assert_array_equal(same.target, poses.target)
         assert set(found.labelled) == set(true.labelled) == {"robotiq_2f85"}
 
 
+@pytest.mark.slow
 def test_training_from_a_pack_learns_and_resumes(data, tmp_path):
     path = tmp_path / "data.mgpack"
     dataset = SceneDataset(data)

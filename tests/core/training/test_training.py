@@ -71,6 +71,7 @@ def part_of(job: TrainingJob, config: TrainConfig, poses: int) -> None:
     run.save()
 
 
+@pytest.mark.slow
 def test_run_resume_and_load(data, tmp_path):
     seen: list[dict[str, float]] = []
     job = TrainingJob((data,), tmp_path)
@@ -96,6 +97,7 @@ def test_run_resume_and_load(data, tmp_path):
     assert (tmp_path / "losses.png").stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_resume_goes_on_as_if_never_stopped(data, tmp_path):
     """Up to the rounding of what the checkpoint keeps of the optimiser."""
     config = dataclasses.replace(CONFIG, total_poses=32 * 24)
@@ -158,6 +160,7 @@ def test_the_rate_follows_what_was_seen():
     assert rate_factor(busy, config) == factors[1], "a busy machine trains the same model"
 
 
+@pytest.mark.slow
 def test_a_stretch_ends_in_time_and_goes_on(data, tmp_path):
     config = dataclasses.replace(CONFIG, total_poses=10**9)
     job = TrainingJob((data,), tmp_path, seconds=0.5)
@@ -169,6 +172,7 @@ def test_a_stretch_ends_in_time_and_goes_on(data, tmp_path):
     assert (before["stretches"], after["stretches"]) == (1, 2)
 
 
+@pytest.mark.slow
 def test_sigterm_saves_and_exits_0(data, tmp_path):
     program = "from megrasp_core.cli import main; raise SystemExit(main())"
     command = [
@@ -189,6 +193,7 @@ def test_sigterm_saves_and_exits_0(data, tmp_path):
     assert (tmp_path / "checkpoint.safetensors").exists()
 
 
+@pytest.mark.slow
 def test_two_processes_train_what_one_does(data, tmp_path):
     """The same scenes a step, shared by two: sums of gradients differ by rounding alone."""
     config = dataclasses.replace(
@@ -211,6 +216,7 @@ def test_a_step_is_shared_out_whole():
     assert sorted(slot for part in slots for slot in part) == list(range(7))
 
 
+@pytest.mark.slow
 def test_training_learns_a_fixed_grasp(tmp_path):
     """One top-down grasp in every scene: well below the loss of predicting zero (about 1)."""
     scenes = [record(seed) for seed in range(4)]
@@ -298,6 +304,7 @@ def test_a_run_goes_on_with_what_validated_before(data, tmp_path):
         resume_training(dataclasses.replace(own, validation=()))
 
 
+@pytest.mark.slow
 def test_steps_without_a_finite_gradient_change_nothing_and_end_the_run(data, tmp_path):
     run = TrainingRun(TrainingJob((data,), tmp_path), CONFIG)
     run.step()
@@ -315,6 +322,7 @@ def test_steps_without_a_finite_gradient_change_nothing_and_end_the_run(data, tm
     handle.remove()
 
 
+@pytest.mark.slow
 def test_a_lost_process_leaves_what_was_trained(data, tmp_path):
     config = dataclasses.replace(CONFIG, scenes_per_step=2, total_poses=10**9)
     job = TrainingJob((data,), tmp_path, processes=2)

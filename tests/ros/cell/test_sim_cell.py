@@ -27,7 +27,7 @@ from megrasp_ros.waiting import send_in_executor
 
 BOX = (0.03, 0.05, 0.05)
 GRIPPERS = ["robotiq_2f85", "franka_hand"]
-DOMAIN = own_domain(111)
+DOMAIN = own_domain(6)
 
 
 class Cell:
@@ -248,7 +248,7 @@ def test_a_good_grasp_takes_a_box_out(cell):
 
 
 def test_the_optical_frame_looks_down_on_the_bin(tmp_path):
-    domain = own_domain(112)
+    domain = own_domain(7)
     with processes(domain, tmp_path) as running, spinning_node(domain) as node:
         running.start("sim_cell", num_objects=1, grippers=["robotiq_2f85"], frame="optical")
         cell = Cell(node)

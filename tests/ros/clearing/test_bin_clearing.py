@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 from cell_processes import WAIT, Processes, own_domain, processes, save_boxes, until
 
+pytestmark = pytest.mark.slow
+
 DOUBLE = Path(__file__).parents[2] / "support" / "analytic_grasp_server.py"
-DOMAIN = own_domain(101)
+DOMAIN = own_domain(4)
 GRIPPERS = ["robotiq_2f85", "franka_hand"]
 
 
@@ -95,7 +97,7 @@ def test_a_broken_server_ends_the_run_with_1(cell):
 
 def test_it_ends_by_itself_without_servers_and_on_signals(tmp_path):
     """1 when a server is missing, 2 for wrong parameters, 130 for a signal."""
-    with processes(own_domain(102), tmp_path) as started:
+    with processes(own_domain(5), tmp_path) as started:
         alone = {"out": tmp_path / "alone", "ready_timeout": 1.0}
         waiting = {"out": tmp_path / "waiting", "ready_timeout": 600.0}
         started.start("bin_clearing", label="alone", **alone)

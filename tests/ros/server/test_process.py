@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from cell_processes import WAIT, in_executor, processes, result
+from cell_processes import WAIT, in_executor, own_domain, processes, result
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from megrasp_msgs.msg import ErrorCode, OrientedBox
@@ -20,7 +20,6 @@ from megrasp_msgs.srv import SynthesizeGrasps
 from server_client import (
     START,
     Client,
-    domain,
     running_server,
     seconds_since,
     stamped_cloud,
@@ -30,6 +29,8 @@ from server_client import (
 from megrasp_core.grippers import load_gripper
 from megrasp_core.network import GraspModel, ModelConfig, save_model
 from megrasp_ros.conversions import matrix_from_pose
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +134,7 @@ def segments(maps: str) -> set[str]:
 
 
 def test_a_wrong_parameter_ends_the_node_with_code_2(tmp_path: Path) -> None:
-    with processes(domain(3), tmp_path) as running:
+    with processes(own_domain(3), tmp_path) as running:
         process = running.start("grasp_server", gravity=[1.0, 2.0])
         assert process.wait(START) == 2
         log = running.log("grasp_server")
