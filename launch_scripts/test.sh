@@ -4,8 +4,9 @@
 #
 #   bash launch_scripts/test.sh [pytest arguments]
 #
-# Variables: those of setup.sh; MEGRASP_TEST_WORKERS, processes that share the tests (by default one a core, two at most); MEGRASP_ASSETS, the folder of real grippers and objects (tests that need it are
-# skipped without); MEGRASP_JUNIT, a file for pytest's JUnit report.
+# Variables: those of setup.sh; MEGRASP_ASSETS, the folder of real grippers and objects (tests that need it are
+# skipped without); MEGRASP_TEST_WORKERS, processes that share the tests (by default one a core, two at most);
+# MEGRASP_JUNIT, a file for pytest's JUnit report.
 
 set -euo pipefail
 

