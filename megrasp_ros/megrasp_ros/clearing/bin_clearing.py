@@ -30,6 +30,7 @@ from rclpy.node import Node
 
 from megrasp_core.cell.clearing import ClearingPlan, PickRecord
 from megrasp_core.errors import MegraspError
+from megrasp_ros.client import GraspServerError
 from megrasp_ros.conversions import box_from_message, matrix_from_pose, pose_from_matrix
 from megrasp_ros.spinning import spin
 
@@ -89,12 +90,10 @@ class BinClearing:
         return summary
 
     def _mount(self, gripper: str) -> None:
-        answer = self._client.set_gripper(gripper)
-        if not answer.success:
-            raise SystemFailure(
-                f"set_gripper refused {gripper!r} with error {answer.error_code}: "
-                f"{answer.error_msg}"
-            )
+        try:
+            self._client.set_gripper(gripper)
+        except GraspServerError as error:
+            raise SystemFailure(f"set_gripper refused {gripper!r} with {error}") from error
         change = self._client.change_tool(gripper)
         if not change.success:
             raise SystemFailure(f"change_tool refused {gripper!r}: {change.message}")
@@ -162,23 +161,20 @@ class BinClearing:
     def _synthesize(self, attempt: int) -> SynthesizeGrasps.Response:
         end = time.monotonic() + TRANSIENT_WAIT
         while True:
-            answer = self._client.synthesize(
-                num_grasps=self._parameters.num_grasps,
-                region=self._parameters.region,
-                not_before=self._not_before,
-                exclude=[pose_from_matrix(pose) for pose in self._plan.excluded],
-                exclude_radius=self._plan.exclude_radius,
-                seed=self._parameters.seed + attempt,
-            )
-            if answer.success or answer.error_code in (
-                ErrorCode.NO_GRASP_FOUND,
-                ErrorCode.BIN_EMPTY,
-            ):
-                return answer
-            if answer.error_code not in TRANSIENT or time.monotonic() > end:
-                raise SystemFailure(
-                    f"synthesize_grasps failed with error {answer.error_code}: {answer.error_msg}"
+            try:
+                return self._client.synthesize(
+                    num_grasps=self._parameters.num_grasps,
+                    region=self._parameters.region,
+                    not_before=self._not_before,
+                    exclude=[pose_from_matrix(pose) for pose in self._plan.excluded],
+                    exclude_radius=self._plan.exclude_radius,
+                    seed=self._parameters.seed + attempt,
                 )
+            except GraspServerError as error:
+                if error.code in (ErrorCode.NO_GRASP_FOUND, ErrorCode.BIN_EMPTY):
+                    return error.answer
+                if error.code not in TRANSIENT or time.monotonic() > end:
+                    raise SystemFailure(f"synthesize_grasps failed with {error}") from error
             time.sleep(RETRY_PERIOD)
 
     def _picture(

@@ -9,24 +9,22 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Sequence
 from typing import Any
 
 from builtin_interfaces.msg import Time as TimeMessage
-from geometry_msgs.msg import Pose
 from megrasp_msgs.action import ExecuteGrasp
-from megrasp_msgs.msg import Grasp, OrientedBox
-from megrasp_msgs.srv import ChangeTool, SetGripper, SynthesizeGrasps
+from megrasp_msgs.msg import Grasp
+from megrasp_msgs.srv import ChangeTool
 from rclpy.action import ActionClient
 from rclpy.client import Client
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from rclpy.task import Future
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
+from megrasp_ros.client import GraspClient, GraspServerError
 from megrasp_ros.qos import SENSOR
-from megrasp_ros.waiting import send_in_executor, wait_for_future
+from megrasp_ros.waiting import send_in_executor
 
 CLOUDS_KEPT = 4
 
@@ -35,15 +33,15 @@ class SystemFailure(Exception):
     """A part of the system is missing, silent, or refuses what it must be able to do."""
 
 
-class ClearingClient:
-    """Calls of `bin_clearing`. Each raises SystemFailure naming the part that does not answer."""
+class ClearingClient(GraspClient):
+    """Calls of `bin_clearing`: those of the grasp server and those of the cell.
+
+    Each raises SystemFailure naming the part that does not answer.
+    """
 
     def __init__(self, node: Node, *, timeout: float) -> None:
         """timeout: longest wait for one answer (s), for a synthesis on a slow machine included."""
-        self._node = node
-        self._timeout = timeout
-        self._synthesize = node.create_client(SynthesizeGrasps, "synthesize_grasps")
-        self._set_gripper = node.create_client(SetGripper, "set_gripper")
+        super().__init__(node, timeout=timeout)
         self._change_tool = node.create_client(ChangeTool, "change_tool")
         self._execute = ActionClient(node, ExecuteGrasp, "execute_grasp")
         self._clouds: deque[PointCloud2] = deque(maxlen=CLOUDS_KEPT)
@@ -75,33 +73,6 @@ class ClearingClient:
                 f"{what} is not there after {timeout:g} s; start the node that offers it in the "
                 "same namespace and ROS_DOMAIN_ID"
             )
-
-    def synthesize(
-        self,
-        *,
-        num_grasps: int,
-        region: OrientedBox,
-        not_before: TimeMessage,
-        exclude: Sequence[Pose],
-        exclude_radius: float,
-        seed: int,
-    ) -> SynthesizeGrasps.Response:
-        """Calls `synthesize_grasps` for the latest cloud after `not_before`."""
-        request = SynthesizeGrasps.Request(
-            num_grasps=num_grasps,
-            region=region,
-            not_before=not_before,
-            exclude=list(exclude),
-            exclude_radius=exclude_radius,
-            seed=seed,
-            # The server's own timeout would end a slow machine's synthesis earlier.
-            timeout=0.9 * self._timeout,
-        )
-        return self._call(self._synthesize, request)
-
-    def set_gripper(self, name: str) -> SetGripper.Response:
-        """Calls `set_gripper`."""
-        return self._call(self._set_gripper, SetGripper.Request(gripper_name=name))
 
     def change_tool(self, name: str) -> ChangeTool.Response:
         """Calls `change_tool`."""
@@ -135,15 +106,10 @@ class ClearingClient:
         with self._clouds_lock:
             self._clouds.append(message)
 
-    def _wait(self, future: Future) -> Any | None:
-        return wait_for_future(future, self._timeout, context=self._node.context)
-
     def _call(self, client: Client, request: Any) -> Any:
-        answer = self._wait(client.call_async(request))
-        if answer is None:
-            raise SystemFailure(
-                f"service {client.srv_name} did not answer within {self._timeout:g} s; look at "
-                "the log of the "
-                "node that offers it"
-            )
-        return answer
+        try:
+            return super()._call(client, request)
+        except GraspServerError as error:
+            if error.code:
+                raise
+            raise SystemFailure(str(error)) from error

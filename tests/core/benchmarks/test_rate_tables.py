@@ -44,7 +44,7 @@ def test_a_row_says_what_was_measured():
 
 
 def test_the_page_shows_the_committed_measurement():
-    content = json.loads((DOCS / "data_bench.json").read_text())
+    content = json.loads((DOCS / "results" / "data_bench.json").read_text())
     page = (DOCS / "data.md").read_text()
     assert f"<!-- rates -->\n{rate_tables(content)}<!-- /rates -->" in page
 

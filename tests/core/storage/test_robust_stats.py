@@ -61,7 +61,7 @@ def test_the_page_tells_what_the_files_hold():
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines()]
     table = {row[0]: row[1:] for row in rows if len(row) == 13}
     whole, *alone = (
-        json.loads((DOCS / f"robust_labels{end}.json").read_text())["robust"]
+        json.loads((DOCS / "results" / f"robust_labels{end}.json").read_text())["robust"]
         for end in ("", *(f"_{factor}" for factor in FACTORS))
     )
     assert set(whole) <= set(table) and len(whole) == 12

@@ -31,7 +31,23 @@ from megrasp_core.errors import InvalidRequestError
 
 @dataclass(frozen=True)
 class PickRecord:
-    """One attempt, as printed and as kept in summary.json. Lengths in m, times in s."""
+    """One attempt, as printed and as kept in summary.json.
+
+    Attributes:
+        attempt: number, from 1.
+        gripper: name.
+        success: something was lifted.
+        reason: why not, "" after a success.
+        removed: names of the objects that are out.
+        objects_left: in the bin.
+        score: of the executed grasp; None where there was none.
+        width: what it was to close on (m).
+        returned: grasps of the answer.
+        synthesis_seconds: wall time of the answer.
+        execution_seconds: wall time of the attempt.
+        rejected: poses that were drawn and left out, by reason.
+        picture: file, where one was drawn.
+    """
 
     attempt: int
     gripper: str

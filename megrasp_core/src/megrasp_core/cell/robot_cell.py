@@ -45,10 +45,13 @@ class CellSettings:
     """What a cell is made of; lengths in m."""
 
     bin: Bin = field(default_factory=Bin)
+    """What the objects lie in."""
     friction: float | None = None
     """Sliding friction of everything; None: each object's own."""
     camera: Camera = field(default_factory=TopDownCamera)
+    """What looks at them."""
     noise: DepthNoise | None = field(default_factory=DepthNoise)
+    """What the camera does to depths; None: nothing."""
 
 
 @dataclass(frozen=True)

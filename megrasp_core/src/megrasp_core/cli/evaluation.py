@@ -147,7 +147,7 @@ def bench(
     Try:
       megrasp bench --threads 2 --out bench.json
       megrasp bench --stage render --out render.json
-      megrasp bench --stage data --out docs/data_bench.json --page docs/data.md
+      megrasp bench --stage data --out docs/results/data_bench.json --page docs/data.md
       git worktree add ../before 1540005
       megrasp bench --stage training --data data/scenes --against ../before --repeats 3
 

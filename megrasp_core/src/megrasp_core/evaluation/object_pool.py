@@ -28,6 +28,12 @@ VALIDATION_SEED = 700_000
 class GraspableSettings:
     """When an object counts as graspable: the free-space trial holds it with enough antipodal
     candidates.
+
+    Attributes:
+        candidates: drawn.
+        trials: of those that start free of collision.
+        successes: so many must hold.
+        seed: of the candidates.
     """
 
     candidates: int = 120

@@ -65,13 +65,13 @@ class ModelPlanner(Planner):
 class AntipodalSettings:
     """How candidates are drawn from the seen surface.
 
-    cone: largest angle (rad) between a contact's normal and the closing axis. approach_tilt:
-    standard deviation
-    (rad) of the approach about straight down. depth: the TCP lies up to this far (m) below the
-    contacts' height
-    where the floor allows it. edge_share: share of candidates from single points and their
-    nearest edge direction,
-    for objects of which only the top is seen.
+    Attributes:
+        cone: largest angle (rad) between a contact's normal and the closing axis.
+        approach_tilt: standard deviation (rad) of the approach about straight down.
+        depth: the TCP lies up to this far (m) below the contacts' height.
+        edge_share: share of candidates from single points and their nearest edge direction, for
+            objects of which only the top is seen.
+        pairs: of points that are looked at.
     """
 
     cone: float = float(np.deg2rad(30.0))
@@ -84,12 +84,10 @@ class AntipodalSettings:
 class AntipodalPlanner(Planner):
     """Analytic antipodal candidates, with the check and the ranking of the model's samples.
 
-    Half of the candidates are pairs of seen points whose normals oppose along the closing axis
-    and whose distance
-    fits the opening. A top-down camera sees few such pairs, so the other half take a seen point
-    off the support
-    plane, approach it against gravity and close along the direction in which the seen patch is
-    narrowest.
+    Half of the candidates are pairs of seen points whose normals oppose along the closing axis and
+    whose distance fits the opening. A top-down camera sees few such pairs, so the other half take
+    a seen point off the support plane, approach it against gravity and close along the direction
+    in which the seen patch is narrowest.
     """
 
     name = "antipodal-baseline"

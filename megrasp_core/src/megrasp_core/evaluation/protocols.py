@@ -39,13 +39,24 @@ PROTOCOLS: tuple[ProtocolName, ...] = ("binpick", "declutter", "single")
 class ProtocolSettings:
     """One evaluation run.
 
-    samples: poses judged one by one per stage, for the unfiltered and filtered rates; 0 leaves
-    them out.
-    drawn, returned: of every synthesis whose first grasp is executed.
-    exclude_radius: grasps whose TCP lies so near (m) to one that failed since the last success
-    are passed over.
-    judged: so many of the returned grasps are judged one by one at every stage, best first, before
-    the first is executed; for calibration.
+    Attributes:
+        protocol: binpick, declutter or single.
+        scenes: bins or heaps.
+        samples: poses judged one by one per stage, for the unfiltered and filtered rates; 0 leaves
+            them out.
+        drawn: poses of every synthesis whose first grasp is executed.
+        returned: grasps that it returns.
+        graspable: objects in a bin.
+        obstacles: things besides that must not be lifted.
+        friction: of everything.
+        max_attempts: in one bin.
+        max_failures: in a row, after which a bin is given up.
+        exclude_radius: grasps whose TCP lies so near (m) to one that failed since the last success
+            are passed over.
+        judged: so many of the returned grasps are judged one by one at every stage, best first,
+            before the first is executed; for calibration.
+        noise: of the depth camera; None: none.
+        seed: of scenes, noise and samples.
     """
 
     protocol: ProtocolName = "binpick"
@@ -78,8 +89,15 @@ class ProtocolSettings:
 
 @dataclass
 class SceneOutcome:
-    """Counts of one scene. `first` lists every executed attempt in order, with the verdict's
-    reason.
+    """Counts of one scene.
+
+    Attributes:
+        first: every executed attempt in order: success and the verdict's reason.
+        stages: times that the scene was looked at.
+        answered: of them with a grasp to execute.
+        objects: that may be lifted, at the start.
+        removed: of them that were.
+        evaluations: of the network that a pose went through.
     """
 
     first: list[tuple[bool, str]] = field(default_factory=list)

@@ -1,4 +1,4 @@
-"""The gripper description: `gripper.yaml`, read strictly (docs/own_gripper.md)."""
+"""The gripper description: `gripper.yaml`, read strictly (docs/own-gripper.md)."""
 
 from __future__ import annotations
 
@@ -81,8 +81,26 @@ class Actuation:
 
 @dataclass(frozen=True)
 class GripperDescription:
-    """Contents of a `gripper.yaml`. Lengths in metres, angles in radians; `tcp` is in the gripper
-    frame.
+    """Contents of a `gripper.yaml`. Lengths in metres, angles in radians.
+
+    Attributes:
+        name: registered.
+        display_name: for people.
+        kind: parallel, adaptive or hand.
+        model: file beside it, or `asset:` and a path below MEGRASP_ASSETS/grippers.
+        mount_from_model: brings the model's axes to the gripper frame.
+        tcp: (x, y, z) in the gripper frame.
+        open: posture.
+        closed: posture, where the fingers end with nothing between them.
+        actuation: joint -> drive, where the model's own is not used.
+        max_width: widest thing between the open fingers; None for hands.
+        min_width: narrowest that they can hold.
+        fingers: links of the opposing groups, the first on -X.
+        symmetry: n-fold about +Z through the TCP.
+        licence: of the model.
+        source: where it comes from.
+        flange_from_gripper: where the gripper frame is on the robot's flange.
+        folder: that it was read from.
     """
 
     name: str

@@ -49,7 +49,7 @@ the pair has enough successes and failures, or is given up.
 FIELDS = """
 ## Fields
 
-One packed file a gripper, `<gripper>.npz`; `megrasp_core.datasets.load_library` reads the folder.
+One packed file a gripper, `<gripper>.npz`; `megrasp_core.library.load_library` reads the folder.
 
 - Per grasp: `object_from_tcp` (x, y, z, qx, qy, qz, qw; metres; +Z approach, +X closing, origin
   between the fingertips), the pose of the open gripper from which closing makes the grasp;

@@ -26,10 +26,13 @@ class ModelConfig:
     level_ratio: int = 4
     """Nodes of a level divided by nodes of the next."""
     levels: int = 3
+    """Of the encoder, each with fewer nodes."""
     blocks: tuple[int, ...] = (1, 2, 2)
     """Convolution blocks on the way down, per level; the way up has one each."""
     neighbours: int = 16
+    """Nodes that a convolution gathers, within a level and from the finer one."""
     up_neighbours: int = 4
+    """Nodes of the coarser level that a node gathers on the way up."""
     radii: tuple[float, ...] = (0.04, 0.08, 0.16)
     """Range (m) of the radial basis per level."""
     fine_neighbours: int = 0
@@ -38,14 +41,19 @@ class ModelConfig:
     fine_radius: float = 0.016
     """Range (m) of the radial basis among the voxel points."""
     radial_functions: int = 12
+    """Functions of the distance that weigh an edge."""
     radial_hidden: int = 32
+    """Width of the small network that makes weights of them."""
     width: int = 128
     """Width of the decoder's tokens."""
     heads: int = 4
+    """Of the attention; they share the width."""
     decoder_blocks: int = 3
+    """In which gripper tokens attend to nodes."""
     gripper_tokens: int = 32
     """Tokens per posture; open and closed together are twice as many."""
     gripper_layers: int = 2
+    """In which gripper tokens attend to each other, once a gripper."""
     scene_tokens: tuple[int, ...] = (96, 48, 32)
     """Nodes per level that a pose looks at."""
     selection_tokens: int = 16
@@ -53,9 +61,13 @@ class ModelConfig:
     position_scale: float = 0.10
     """Length (m) by which coordinates are divided before the Fourier features."""
     position_octaves: int = 5
+    """Fourier frequencies of a coordinate, each twice the one before."""
     sigma_t: float = 0.08
+    """Noise of the translation per axis at level 1 (m)."""
     sigma_r: float = 2.0
+    """Noise of the rotation at level 1 (rad)."""
     s_min: float = 0.03
+    """Lowest level of noise."""
 
     def __post_init__(self) -> None:
         """Refuse sizes that do not go together.

@@ -37,9 +37,13 @@ STAGES = 100
 class RolloutSettings:
     """Amounts.
 
-    judged: best ranked grasps tried at every stage. rejected: at most so many that fail the check
-    are tried as well. max_stages, max_failures: end of a bin (failures in a row). drawn: poses of
-    a synthesis.
+    Attributes:
+        judged: best ranked grasps tried at every stage.
+        rejected: at most so many that fail the check are tried as well.
+        max_stages: of a bin.
+        max_failures: in a row, after which a bin is given up.
+        drawn: poses of a synthesis.
+        scenes: what the bins are like.
     """
 
     judged: int = 10

@@ -27,7 +27,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FreeSpaceSettings:
-    """Numbers of the free-space trial; (a) and (b) are the verdict's."""
+    """Numbers of the free-space trial.
+
+    Attributes:
+        start: start collision and closing, as in the verdict.
+        shift: shaking along an axis (m).
+        turn: shaking about an axis (rad).
+    """
 
     start: TrialSettings = field(default_factory=TrialSettings)
     shift: Shake = field(default_factory=lambda: Shake(0.05))

@@ -55,10 +55,19 @@ class Reason(StrEnum):
 class TrialSettings:
     """Numbers of the verdict; the defaults stay for every reported figure.
 
-    close_ramp: the finger command goes from open to closed in this time and stays there till
-        close_time.
-    bin_weight: upward pull (N) on table or bin that, over 50 ms altogether, counts as lifting the
-        bin.
+    Attributes:
+        max_depth: deepest penetration (m) of the open gripper that still counts as free.
+        approach_poses: tested on the way to the pre-grasp.
+        close_time: for closing (s).
+        close_ramp: the finger command goes from open to closed in this time (s) and stays there
+            till close_time.
+        lift_height: (m).
+        lift_time: (s).
+        hold_time: held still after lifting (s).
+        shake: after that.
+        min_rise: an object counts as lifted when its centre rose by more (m).
+        bin_weight: upward pull (N) on table or bin that, over 50 ms altogether, counts as lifting
+            the bin.
     """
 
     max_depth: float = 0.001

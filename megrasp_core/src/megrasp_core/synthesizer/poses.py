@@ -17,7 +17,13 @@ __all__ = ["PoseSet", "pose_set", "scene_from_tcp", "world_from_tcp"]
 
 @dataclass(frozen=True)
 class PoseSet:
-    """N grasp poses (N, 4, 4) in the frame of the cloud, float64."""
+    """N grasp poses (N, 4, 4) in the frame of the cloud, float64.
+
+    Attributes:
+        tcp: TCP frame at the pre-grasp.
+        gripper: gripper frame at the pre-grasp.
+        approach: gripper frame at the stand-off.
+    """
 
     tcp: np.ndarray
     gripper: np.ndarray

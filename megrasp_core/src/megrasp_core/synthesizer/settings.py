@@ -20,7 +20,14 @@ __all__ = ["PolishSettings", "RankingSettings", "SynthesizerSettings"]
 
 @dataclass(frozen=True)
 class RankingSettings:
-    """Settings of every part of the ranking."""
+    """Settings of every part of the ranking.
+
+    Attributes:
+        observation: what was seen and what was not.
+        check: when a grasp is refused.
+        contact: what lies between the fingers.
+        rank: score and near duplicates.
+    """
 
     observation: ObservationSettings = field(default_factory=ObservationSettings)
     check: CheckSettings = field(default_factory=CheckSettings)

@@ -22,7 +22,7 @@ def fidelity(
     Every description <name> that has a twin cad/<name>_cad is compared with it; the models lie
     under MEGRASP_ASSETS. Exit code 1 where a measure is over its limit.
 
-    Try: megrasp gripper fidelity --out docs/gripper_fidelity.json --page docs/grippers.md
+    Try: megrasp gripper fidelity --out docs/results/gripper_fidelity.json --page docs/grippers.md
 
     Args:
         names: only these; what the file holds of others is kept.

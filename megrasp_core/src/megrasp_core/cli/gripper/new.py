@@ -110,7 +110,7 @@ def score_wizard(
     for jaws and 25 for hands, the TCP within 1 cm and 3 cm. Exit code 1 where less than 11 of 13
     are right.
 
-    Try: megrasp gripper score-wizard --out docs/gripper_wizard.json
+    Try: megrasp gripper score-wizard --out docs/results/gripper_wizard.json
 
     Args:
         names: grippers; all of the folder by default.

@@ -29,7 +29,14 @@ HAND_FINGERS = 4
 class Overrides:
     """What the user says instead of what is found; lengths in metres, vectors in the model frame.
 
-    `open`, `closed`: joint or actuator name -> value.
+    Attributes:
+        approach: direction (3,) out of the palm.
+        closing: direction (3,) along which the fingers close.
+        tcp: point (3,) between the fingertips.
+        tip_depth: distance of the TCP behind the fingertips, instead of `tcp`.
+        open: joint or actuator name -> value.
+        closed: the same.
+        kind: parallel, adaptive or hand.
     """
 
     approach: NDArray[np.float64] | None = None

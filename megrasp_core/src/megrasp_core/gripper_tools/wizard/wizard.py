@@ -37,7 +37,18 @@ Revise = Callable[[list[Finding], Overrides], Overrides | None]
 
 @dataclass(frozen=True)
 class ModelRequest:
-    """What `megrasp gripper new` is asked for."""
+    """What `megrasp gripper new` is asked for.
+
+    Attributes:
+        model: URDF or MJCF.
+        out: new folder.
+        source: how the model is read.
+        overrides: what is said instead of found.
+        name: registered name; None: that of the folder.
+        display_name: for people; None: from the name.
+        licence: of the model.
+        origin: where the model comes from.
+    """
 
     model: Path
     out: Path
