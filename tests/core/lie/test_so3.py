@@ -81,7 +81,6 @@ def test_hat_vee_and_exp_against_matrix_exponential() -> None:
     x = torch.randn(50, 3, generator=generator, dtype=torch.float64)
     product = (so3.hat(w) @ x[..., None]).squeeze(-1)
     torch.testing.assert_close(product, torch.linalg.cross(w, x))
-    torch.testing.assert_close(so3.vee(so3.hat(w)), w)
     expected = torch.linalg.matrix_exp(so3.hat(w))
     torch.testing.assert_close(so3.exp(w), expected, rtol=0, atol=1e-13)
 

@@ -23,18 +23,6 @@ def hat(w: Tensor) -> Tensor:
     return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).unflatten(-1, (3, 3))
 
 
-def vee(m: Tensor) -> Tensor:
-    """Vectors (..., 3) of the antisymmetric part of matrices (..., 3, 3); inverse of `hat`."""
-    return 0.5 * torch.stack(
-        [
-            m[..., 2, 1] - m[..., 1, 2],
-            m[..., 0, 2] - m[..., 2, 0],
-            m[..., 1, 0] - m[..., 0, 1],
-        ],
-        -1,
-    )
-
-
 def exp(w: Tensor) -> Tensor:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) (rad), by Rodrigues' formula."""
     a, b = rodrigues_coefficients(w)
@@ -71,19 +59,6 @@ def rodrigues_coefficients(w: Tensor) -> tuple[Tensor, Tensor]:
         small, 0.5 - squared / 24 * (1 - squared / 30), 2 * (0.5 * angle).sin().square() / safe
     )
     return first, second
-
-
-def third_coefficient(w: Tensor) -> Tensor:
-    """(a - sin a)/a^3 (...) for a = |w|, w of shape (..., 3); SE(3)'s translation needs it."""
-    squared = (w * w).sum(-1)
-    # The numerator cancels long before those above do: the series serves up to a = 0.7.
-    near = squared < 0.5
-    series = torch.ones_like(squared)
-    for factor in (210, 156, 110, 72, 42, 20):
-        series = 1 - squared / factor * series
-    safe = torch.where(near, 1.0, squared)
-    angle = safe.sqrt()
-    return torch.where(near, series / 6, (angle - angle.sin()) / (safe * angle))
 
 
 def log(r: Tensor) -> Tensor:

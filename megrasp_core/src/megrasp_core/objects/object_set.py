@@ -64,10 +64,6 @@ class ObjectSet:
             self._loaded[name] = self._load(name)
         return self._loaded[name]
 
-    def restricted(self, names: Sequence[str]) -> ObjectSet:
-        """The set with these names only."""
-        return ObjectSet(names, self._assets)
-
     def folder(self, name: str) -> Path | None:
         """Folder of a scan; None for what is no scan.
 
