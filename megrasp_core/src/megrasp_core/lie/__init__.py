@@ -1,4 +1,4 @@
-"""Lie groups of grasp poses: SO(3), batches of poses, Wigner D matrices, isotropic Gaussians on SO(3)."""
+"""Lie groups of grasp poses: SO(3), batches of poses, Wigner D, isotropic Gaussians on SO(3)."""
 
 from .pose import matrix_from_pose7, pose7_from_matrix
 from .pose_batch import PoseBatch

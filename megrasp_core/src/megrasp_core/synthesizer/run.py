@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -22,15 +22,14 @@ from megrasp_core.diffusion import (
     refine,
 )
 from megrasp_core.errors import CancelledError
-from megrasp_core.grippers import Gripper
 from megrasp_core.lie import PoseBatch
-from megrasp_core.network import GraspModel, GripperCode, SceneField
+from megrasp_core.network import GraspModel, SceneField
 from megrasp_core.pointcloud import Cloud, SceneSettings
-from megrasp_core.ranking import GripperProbe, rejection_counts
+from megrasp_core.ranking import rejection_counts
 
-from .perception import Perceived, perceive
+from .assessor import Assessor, MountedGripper
+from .perception import perceive
 from .polish import polish
-from .poses import pose_set, scene_from_tcp, world_from_tcp
 from .request import SynthesisRequest
 from .result import RankedGrasp, Synthesis
 from .sampling import draw_starts
@@ -38,7 +37,7 @@ from .scene_judge import Assessment
 from .selection import rank_poses
 from .settings import SynthesizerSettings
 
-__all__ = ["Cancelled", "MountedGripper", "OnStep", "SynthesisRun"]
+__all__ = ["Cancelled", "OnStep", "SynthesisRun"]
 
 LOGGER = logging.getLogger(__name__)
 
@@ -48,15 +47,6 @@ OnStep = Callable[[str, int, int], None]
 Cancelled = Callable[[], bool]
 
 PHASES = ("perceive", "encode", "sample", "rank")
-
-
-@dataclass(frozen=True)
-class MountedGripper:
-    """A gripper as the model and the check see it."""
-
-    gripper: Gripper
-    code: GripperCode
-    probe: GripperProbe
 
 
 class SynthesisRun:
@@ -82,7 +72,6 @@ class SynthesisRun:
         self.timing: dict[str, float] = {}
         self.generator = torch.Generator(device=self.model.device)
         self.generator.manual_seed(int(request.seed or 0))
-        self.confident = "confidence" in model.info.heads
         self.keep = request.drawn
         if request.mode == "default" and model.device.type == "cpu" and sampler.restarts:
             self.keep = min(self.settings.refined, request.drawn)
@@ -97,17 +86,18 @@ class SynthesisRun:
             return self._answer([], rejection_counts(np.zeros(0, "<U12")), start, empty=True)
         with self._phase("encode"):
             field = self.model.encode_scene(seen.nodes)
+        assessor = Assessor(self.model, self.mounted, seen, field)
         left_out: tuple[Assessment, np.ndarray] | None = None
         with self._phase("sample"):
             poses = self._descend(field)
             if self.keep < request.drawn:
-                first = self._assess(seen, field, poses, cheap=True)
+                first = assessor.samples(poses, cheap=True)
                 best = self._best(first)
                 left_out = first, np.setdiff1d(np.arange(request.drawn), best)
                 poses = poses.part(torch.as_tensor(best, device=poses.device))
             poses = self._refine(field, poses)
         with self._phase("rank"):
-            final = self._polished(seen, field, self._assess(seen, field, poses))
+            final = self._polished(assessor, assessor.samples(poses))
             grasps, rejected = rank_poses(final, self.mounted.probe, request, ranking, left_out)
         return self._answer(grasps, rejected, start)
 
@@ -160,37 +150,13 @@ class SynthesisRun:
 
         return denoise
 
-    def _assess(
-        self, seen: Perceived, field: SceneField, poses: PoseBatch, *, cheap: bool = False
-    ) -> Assessment:
-        tcp = world_from_tcp(poses, seen.nodes.centroid)
-        return seen.judge.assess(
-            pose_set(tcp, self.mounted.gripper, self.request),
-            self.mounted.probe,
-            self._confidence(field, poses),
-            cheap=cheap,
-        )
-
-    def _confidence(self, field: SceneField, poses: PoseBatch) -> np.ndarray | None:
-        if not self.confident:
-            return None
-        logit = self.model.confidence(field, self.mounted.code, poses)
-        return logit.sigmoid().cpu().double().numpy()
-
-    def _polished(self, seen: Perceived, field: SceneField, final: Assessment) -> Assessment:
-        if self.request.mode != "default" or not self.confident:
+    def _polished(self, assessor: Assessor, final: Assessment) -> Assessment:
+        if self.request.mode != "default" or not assessor.confident:
             return final
 
         def assess(tcp: np.ndarray, contacts: bool) -> Assessment:
             self._stop_if_cancelled("while ranking")
-            model = self.model
-            poses = scene_from_tcp(tcp, seen.nodes.centroid, model.dtype, model.device)
-            return seen.judge.assess(
-                pose_set(tcp, self.mounted.gripper, self.request),
-                self.mounted.probe,
-                self._confidence(field, poses),
-                contacts=contacts,
-            )
+            return assessor.poses(tcp, contacts=contacts)
 
         rng = np.random.default_rng(int(self.request.seed or 0))
         probe, rank = self.mounted.probe, self.settings.ranking.rank

@@ -19,9 +19,10 @@ from megrasp_core.network import GraspModel, load_model
 from megrasp_core.pointcloud import Cloud
 from megrasp_core.ranking import GripperProbe, gripper_probe
 
+from .assessor import MountedGripper
 from .request import SynthesisRequest
 from .result import Synthesis
-from .run import Cancelled, MountedGripper, OnStep, SynthesisRun
+from .run import Cancelled, OnStep, SynthesisRun
 from .settings import SynthesizerSettings
 
 __all__ = ["GraspSynthesizer"]

@@ -1,0 +1,78 @@
+"""All there is to say of poses of one gripper in one scene: the confidence of the model and the
+judgement on what was seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from megrasp_core.grippers import Gripper
+from megrasp_core.lie import PoseBatch
+from megrasp_core.network import GraspModel, GripperCode, SceneField
+from megrasp_core.ranking import GripperProbe
+
+from .perception import Perceived
+from .poses import pose_set, scene_from_tcp, world_from_tcp
+from .scene_judge import Assessment
+
+__all__ = ["Assessor", "MountedGripper"]
+
+
+@dataclass(frozen=True)
+class MountedGripper:
+    """A gripper as the model and the check see it."""
+
+    gripper: Gripper
+    code: GripperCode
+    probe: GripperProbe
+
+
+class Assessor:
+    """Assesses poses, given as the model draws them or in the frame of the cloud."""
+
+    def __init__(
+        self, model: GraspModel, mounted: MountedGripper, seen: Perceived, field: SceneField
+    ) -> None:
+        self._model, self._mounted = model, mounted
+        self._seen, self._field = seen, field
+        self.confident = "confidence" in model.info.heads
+        """Whether the model has a confidence."""
+
+    def samples(self, poses: PoseBatch, *, cheap: bool = False) -> Assessment:
+        """Of scene_from_tcp poses.
+
+        Args:
+            poses: N of them, centred scene coordinates.
+            cheap: the approach path is not tested, with the coarse points only.
+        """
+        tcp = world_from_tcp(poses, self._seen.nodes.centroid)
+        return self._assess(tcp, poses, cheap=cheap, contacts=True)
+
+    def poses(self, tcp: np.ndarray, *, contacts: bool = True) -> Assessment:
+        """Of world_from_tcp poses.
+
+        Args:
+            tcp: (N, 4, 4).
+            contacts: measure what lies between the fingers, the slowest part.
+        """
+        centroid = self._seen.nodes.centroid
+        poses = scene_from_tcp(tcp, centroid, self._model.dtype, self._model.device)
+        return self._assess(tcp, poses, cheap=False, contacts=contacts)
+
+    def _assess(
+        self, tcp: np.ndarray, poses: PoseBatch, *, cheap: bool, contacts: bool
+    ) -> Assessment:
+        mounted, judge = self._mounted, self._seen.judge
+        confidence = None
+        if self.confident:
+            logit = self._model.confidence(self._field, mounted.code, poses)
+            confidence = logit.sigmoid().cpu().double().numpy()
+        return judge.assess(
+            pose_set(tcp, mounted.gripper, judge.request),
+            mounted.probe,
+            confidence,
+            cheap=cheap,
+            contacts=contacts,
+        )
