@@ -43,8 +43,7 @@ def points_from_cloud(message: PointCloud2) -> FloatArray:
     if count == 0:
         raise CloudError(
             f"the cloud is empty (width {message.width}, height {message.height}); expected at "
-            "least one point. "
-            "Check the camera and its topic."
+            "least one point. Check the camera and its topic."
         )
     records = np.ndarray(
         (message.height, message.width),
@@ -57,8 +56,7 @@ def points_from_cloud(message: PointCloud2) -> FloatArray:
     if not finite.any():
         raise CloudError(
             f"none of the {count} points of the cloud is finite; expected depth readings in "
-            "metres. "
-            "Check that the camera sees the scene within its range."
+            "metres. Check that the camera sees the scene within its range."
         )
     return points[finite]
 
@@ -69,8 +67,7 @@ def _point_dtype(message: PointCloud2) -> np.dtype:
     if missing:
         raise CloudError(
             f"the cloud has the fields {sorted(fields) or 'none'} and lacks {', '.join(missing)}; "
-            "expected x, y "
-            "and z in metres. Remap `points` to a topic with a point cloud."
+            "expected x, y and z in metres. Remap `points` to a topic with a point cloud."
         )
     order = ">" if message.is_bigendian else "<"
     formats = []
@@ -79,16 +76,15 @@ def _point_dtype(message: PointCloud2) -> np.dtype:
         if field.datatype not in _TYPES:
             raise CloudError(
                 f"field {axis} has the unknown datatype {field.datatype}; expected one of the "
-                "constants of "
-                "sensor_msgs/PointField, usually FLOAT32 (7)."
+                "constants of sensor_msgs/PointField, usually FLOAT32 (7)."
             )
         formats.append(order + _TYPES[field.datatype])
         end = field.offset + np.dtype(formats[-1]).itemsize
         if end > message.point_step:
             raise CloudError(
                 f"field {axis} ends at byte {end} of a point of {message.point_step} bytes; "
-                "expected point_step "
-                "to cover every field. The publisher fills the message wrongly."
+                "expected point_step to cover every field. The publisher fills the message "
+                "wrongly."
             )
     return np.dtype(
         {
@@ -106,16 +102,15 @@ def _checked_data(message: PointCloud2) -> memoryview:
     if message.height > 1 and message.row_step < row:
         raise CloudError(
             f"row_step is {message.row_step} for rows of {message.width} points of "
-            f"{message.point_step} bytes; "
-            f"expected at least {row}. The publisher fills the message wrongly."
+            f"{message.point_step} bytes; expected at least {row}. The publisher fills the "
+            "message wrongly."
         )
     needed = (message.height - 1) * message.row_step + row
     if len(message.data) < needed:
         raise CloudError(
             f"the cloud's data holds {len(message.data)} bytes; expected {needed} for "
-            f"{message.width} x "
-            f"{message.height} points of {message.point_step} bytes. The message was cut or "
-            "filled wrongly."
+            f"{message.width} x {message.height} points of {message.point_step} bytes. The "
+            "message was cut or filled wrongly."
         )
     return memoryview(message.data)
 
@@ -146,8 +141,7 @@ def matrix_from_numbers(numbers: ArrayLike, what: str) -> FloatArray:
     if pose.shape != (7,) or not np.isfinite(pose).all() or abs(length - 1) > 0.1:
         raise InvalidRequestError(
             f"{what} is {pose.tolist()}; expected finite x, y, z (m) and a unit quaternion qx, "
-            "qy, qz, qw. "
-            "The identity is 0, 0, 0, 0, 0, 0, 1."
+            "qy, qz, qw. The identity is 0, 0, 0, 0, 0, 0, 1."
         )
     pose[3:] /= length
     return matrix_from_pose7(pose)

@@ -42,9 +42,8 @@ def send_in_executor(node: Node, send: Callable[[], Future], timeout: float) -> 
     """What the future that `send` returns brings, `send` being called by the node's executor.
 
     For action clients: rclpy's `send_goal_async` notes the request only after it is sent, without
-    a
-    lock, so that a fast answer is thrown away when another thread spins ("Ignoring unexpected goal
-    response"). Called by a single-threaded executor, sending and answering cannot overlap.
+    a lock, so that a fast answer is thrown away when another thread spins ("Ignoring unexpected
+    goal response"). Called by a single-threaded executor, sending and answering cannot overlap.
     None and exceptions: see `wait_for_future`.
     """
     executor = node.executor

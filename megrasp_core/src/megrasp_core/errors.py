@@ -1,8 +1,7 @@
 """Errors a user can meet. Each says what was given, what was expected and what to do next.
 
-`code` is the ROS error code of the error (`megrasp_msgs/msg/ErrorCode.msg`);
-the command
-line turns every `MegraspError` into exit code 2.
+`code` is the ROS error code of the error (`megrasp_msgs/msg/ErrorCode.msg`); the command line
+turns every `MegraspError` into exit code 2.
 """
 
 from __future__ import annotations
@@ -61,9 +60,8 @@ class UnknownGripperError(MegraspError):
     def __init__(self, name: str, available: Iterable[str]) -> None:
         names = sorted(available)
         super().__init__(
-            f"unknown gripper {name!r}; expected one of {', '.join(names) or '(none found)'} or "
-            "a folder that "
-            "holds a gripper.yaml. Add folders with MEGRASP_GRIPPER_PATH."
+            f"unknown gripper {name!r}; expected one of {', '.join(names) or '(none found)'} or a "
+            "folder that holds a gripper.yaml. Add folders with MEGRASP_GRIPPER_PATH."
         )
         self.available = tuple(names)
 

@@ -206,8 +206,7 @@ class SimCell(Node):
         if goal.gripper != mounted:
             raise ToolMismatchError(
                 f"the grasp is for {goal.gripper or '(no gripper named)'}, but {mounted} is "
-                "mounted; call "
-                "change_tool or synthesize for the mounted gripper",
+                "mounted; call change_tool or synthesize for the mounted gripper",
             )
         stamp = Time.from_msg(goal.header.stamp, clock_type=self.get_clock().clock_type)
         if stamp.nanoseconds == 0:
@@ -218,8 +217,7 @@ class SimCell(Node):
         if stamp <= self._scene_changed:
             raise StaleCloudError(
                 "the grasp was computed from a cloud taken before the last attempt, which moved "
-                "the objects; "
-                "synthesize again with not_before set to the end of that attempt",
+                "the objects; synthesize again with not_before set to the end of that attempt",
             )
         ahead = (stamp - self.get_clock().now()).nanoseconds * 1e-9
         if ahead > FUTURE_TOLERANCE:

@@ -195,8 +195,7 @@ class BinClearing:
         print(
             f"{len(summary['removed'])} of {summary['objects_at_start']} objects removed in "
             f"{summary['attempts']} picks and {summary['seconds']:.0f} s, "
-            f"{summary['objects_left']} left; "
-            f"{summary['ended']}. {path}",
+            f"{summary['objects_left']} left; {summary['ended']}. {path}",
             flush=True,
         )
 

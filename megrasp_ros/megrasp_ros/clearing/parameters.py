@@ -76,8 +76,7 @@ def _region(pose: list[float], size: list[float]) -> OrientedBox:
     if len(pose) != 7 or len(size) != 3:
         raise InvalidRequestError(
             f"region.pose has {len(pose)} and region.size {len(size)} numbers; expected 7 (x y z "
-            "qx qy qz qw) "
-            "and 3 (full edges, m)"
+            "qx qy qz qw) and 3 (full edges, m)"
         )
     box = OrientedBox()
     box.pose.position.x, box.pose.position.y, box.pose.position.z = map(float, pose[:3])

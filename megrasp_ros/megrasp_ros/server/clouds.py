@@ -155,8 +155,8 @@ class CloudSource:
             return StaleCloudError(
                 f"the newest cloud on {self.topic} after {timeout:g} s is too old: "
                 f"{self._too_old(newest, max_age, not_before)}. Check that the camera publishes, "
-                "that its clock (or "
-                "use_sim_time) agrees with this node's, or raise cloud_max_age or cloud_timeout."
+                "that its clock (or use_sim_time) agrees with this node's, or raise cloud_max_age "
+                "or cloud_timeout."
             )
         publishers = self._node.get_publishers_info_by_topic(self.topic)
         described = ", ".join(

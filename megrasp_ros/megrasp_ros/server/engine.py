@@ -15,9 +15,9 @@ from megrasp_core.grippers import Gripper, list_grippers, load_gripper
 
 from .parameters import Settings
 
-#: (model or None, device, threads or None) -> an object like
-# megrasp_core.synthesizer.GraspSynthesizer
 Factory = Callable[[str | None, str, int | None], Any]
+"""(model or None, device, threads or None) -> an object like
+megrasp_core.synthesizer.GraspSynthesizer."""
 
 
 def load_synthesizer(model: str | None, device: str, threads: int | None) -> Any:
@@ -75,10 +75,8 @@ class Engine:
         except Exception as error:
             raise ModelError(
                 f"the model {settings.model or '(default)'} cannot be loaded on {key[1]}: "
-                f"{type(error).__name__}: "
-                f"{error}. Expected a folder with config.json and model.safetensors; check the "
-                "parameters model and "
-                "device, or set MEGRASP_MODELS."
+                f"{type(error).__name__}: {error}. Expected a folder with config.json and "
+                "model.safetensors; check the parameters model and device, or set MEGRASP_MODELS."
             ) from error
         self._loaded = key
 

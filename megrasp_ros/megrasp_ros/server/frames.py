@@ -41,10 +41,8 @@ def tf2_buffer(node: Node) -> TransformBuffer:
     except ImportError:
         raise TransformError(
             "planning_frame differs from the frame of the cloud, no extrinsics are given, and "
-            "tf2_ros is not "
-            "installed here. Set the parameter extrinsics: [x, y, z, qx, qy, qz, qw] "
-            "(planning_from_cloud), or "
-            "install ros-jazzy-tf2-ros-py."
+            "tf2_ros is not installed here. Set the parameter extrinsics: [x, y, z, qx, qy, qz, "
+            "qw] (planning_from_cloud), or install ros-jazzy-tf2-ros-py."
         ) from None
     buffer = Buffer()
     # The listener must live as long as the buffer.
@@ -72,9 +70,8 @@ class FrameSource:
         if not target and settings.extrinsics is not None:
             raise TransformError(
                 "the parameter extrinsics is given but planning_frame is empty; expected the name "
-                "of the frame "
-                "that the extrinsics lead to. Set planning_frame, for instance planning_frame: "
-                "base_link"
+                "of the frame that the extrinsics lead to. Set planning_frame, for instance "
+                "planning_frame: base_link"
             )
         if not target or target == source:
             return source, np.eye(4)
@@ -94,10 +91,9 @@ class FrameSource:
         ) as error:  # tf2's exceptions share no base class that could be imported without tf2
             raise TransformError(
                 f"no transform from {source!r} to planning_frame {target!r} at the stamp of the "
-                "cloud within "
-                f"{self._timeout} s ({error}). Start the publisher of the camera's transform, or "
-                "set the "
-                "parameter extrinsics: [x, y, z, qx, qy, qz, qw] (planning_from_cloud)."
+                f"cloud within {self._timeout} s ({error}). Start the publisher of the camera's "
+                "transform, or set the parameter extrinsics: [x, y, z, qx, qy, qz, qw] "
+                "(planning_from_cloud)."
             ) from error
         t, q = found.transform.translation, found.transform.rotation
         return matrix_from_numbers(
@@ -116,10 +112,8 @@ def gravity_in(frame: str, settings: Settings) -> FloatArray:
     if frame.endswith(_OPTICAL):
         raise GravityError(
             f"the direction of gravity is not known: grasps are asked for in {frame!r}, an "
-            "optical frame, and the "
-            "parameter gravity is not set. Add the line `gravity: [0.0, 0.0, 1.0]` to the "
-            "parameters for a camera "
-            "that looks straight down, the measured direction otherwise, or set planning_frame "
-            "and extrinsics."
+            "optical frame, and the parameter gravity is not set. Add the line `gravity: [0.0, "
+            "0.0, 1.0]` to the parameters for a camera that looks straight down, the measured "
+            "direction otherwise, or set planning_frame and extrinsics."
         )
     return np.array([0.0, 0.0, -1.0])

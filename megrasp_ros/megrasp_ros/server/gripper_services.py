@@ -29,8 +29,8 @@ from .outputs import Outputs
 from .parameters import Settings
 from .worker import Job, Worker
 
-#: (what, work) -> result; runs the work in the worker thread of an active node
 RunJob = Callable[[str, Callable[[Job], Any]], Any]
+"""(what, work) -> result; runs the work in the worker thread of an active node."""
 CHANGE_TOOL_TIMEOUT = 60.0
 
 
@@ -102,8 +102,8 @@ class GripperServices:
         if self.tool_id and self.tool_id != active.name:
             raise ToolMismatchError(
                 f"tool_id reports {self.tool_id!r}, but the active gripper is {active.name!r}; "
-                "expected the same. "
-                f"Call set_gripper with {self.tool_id!r}, or mount {active.name!r}."
+                f"expected the same. Call set_gripper with {self.tool_id!r}, or mount "
+                f"{active.name!r}."
             )
         return [active]
 
@@ -169,8 +169,7 @@ class GripperServices:
             if not client.wait_for_service(timeout_sec=10.0):
                 raise ToolChangeError(
                     f"no service {service!r} after 10 s; expected the tool changer. Start it, or "
-                    "set the parameter "
-                    "tool_changer to the name of its ChangeTool service."
+                    "set the parameter tool_changer to the name of its ChangeTool service."
                 )
             answer = wait_for_future(
                 client.call_async(ChangeTool.Request(gripper_name=name)), CHANGE_TOOL_TIMEOUT
@@ -183,8 +182,7 @@ class GripperServices:
                 )
                 raise ToolChangeError(
                     f"the tool changer did not mount {name!r}: {why}. Check the changer; the "
-                    "active gripper is "
-                    "unchanged here."
+                    "active gripper is unchanged here."
                 )
             self.tool_id = answer.mounted or self.tool_id
         finally:

@@ -22,8 +22,8 @@ from megrasp_ros.sensor_messages import cloud_message
 from .grasp_messages import pose_array
 from .markers import grasp_markers
 
-#: Frame of `gripper_cloud`, to be tied to the robot by its owner.
 GRIPPER_FRAME = "gripper"
+"""Frame of `gripper_cloud`, to be tied to the robot by its owner."""
 
 
 class Outputs:

@@ -48,8 +48,7 @@ def checked_request(
     if not 1 <= message.num_grasps <= settings.max_num_grasps:
         raise InvalidRequestError(
             f"num_grasps is {message.num_grasps}; expected 1 to {settings.max_num_grasps}, the "
-            "parameter "
-            "max_num_grasps. Ask for fewer, or raise the parameter."
+            "parameter max_num_grasps. Ask for fewer, or raise the parameter."
         )
     _in_range("max_tilt", message.max_tilt, math.pi, "rad; 0: the parameter max_tilt")
     _in_range("timeout", message.timeout, 3600.0, "s; 0: the parameter request_timeout")

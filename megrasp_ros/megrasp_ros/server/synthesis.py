@@ -26,10 +26,10 @@ from .requests import ParsedRequest
 from .worker import Job
 
 FloatArray = NDArray[np.float64]
-#: (phase, step, total_steps)
 OnStep = Callable[[str, int, int], None]
-#: The core's phase names -> those of GenerateGrasps.action
+"""(phase, step, total_steps)."""
 _PHASES = {"rank": "check"}
+"""The core's phase names -> those of GenerateGrasps.action."""
 
 
 class SynthesisRunner:
@@ -85,9 +85,8 @@ class SynthesisRunner:
         if synthesis.bin_empty:
             raise BinEmptyError(
                 "only the support surface is left in the "
-                f"{'region' if request.region is not None else 'cloud'}; "
-                "expected objects of at least 10 mm height. The bin is empty; fill it, or check "
-                "the region."
+                f"{'region' if request.region is not None else 'cloud'}; expected objects of at "
+                "least 10 mm height. The bin is empty; fill it, or check the region."
             )
         outcome = Outcome(
             grasps=grasp_array(

@@ -69,8 +69,7 @@ class Job:
         if self.remaining <= 0:
             raise RequestTimeoutError(
                 f"the request was not done within its timeout of {self.timeout:g} s; give it more "
-                "time, or lower "
-                "num_grasps or `drawn`."
+                "time, or lower num_grasps or `drawn`."
             )
 
     def wait(self) -> Any:
@@ -107,8 +106,8 @@ class Worker:
                 if not (preempt or self._job.background):
                     raise BusyError(
                         f"a job is running ({self._job.what}, for {self._job.elapsed:.1f} s); try "
-                        "again when it is "
-                        "done, cancel it, or send generate_grasps with preempt: true."
+                        "again when it is done, cancel it, or send generate_grasps with preempt: "
+                        "true."
                     )
                 self._job.cancel("another request took over; send this one again if it is needed.")
                 self._changed.wait()

@@ -54,8 +54,7 @@ def bench_synthesis(
 
     Returns:
         Content of the result file: per row the minimum, median and maximum of every phase (s),
-        CPU-seconds of the
-        process, peak memory (MB).
+        CPU-seconds of the process, peak memory (MB).
     """
     cloud, region = bench_cloud()
     rows = []

@@ -70,8 +70,8 @@ class PickRecord:
         outcome = f"lifted {what}" if self.success else f"failed ({self.reason}), removed {what}"
         return (
             f"pick {self.attempt:2d}  {self.gripper:<14s} score {score}  {outcome}; "
-            f"{self.objects_left} left  [{self.returned} grasps in "
-            f"{self.synthesis_seconds:.2f} s, executed in {self.execution_seconds:.2f} s]"
+            f"{self.objects_left} left  [{self.returned} grasps in {self.synthesis_seconds:.2f} "
+            f"s, executed in {self.execution_seconds:.2f} s]"
         )
 
 

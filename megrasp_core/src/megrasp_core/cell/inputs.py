@@ -30,8 +30,7 @@ def checked_pose(pose: NDArray[np.float64], what: str) -> NDArray[np.float64]:
     if np.linalg.norm(matrix[:3, 3]) > MAX_REACH:
         raise InvalidRequestError(
             f"{what} is {np.linalg.norm(matrix[:3, 3]):.2f} m from the bin; expected at most "
-            f"{MAX_REACH:g} m: "
-            "check its frame and that lengths are in metres"
+            f"{MAX_REACH:g} m: check its frame and that lengths are in metres"
         )
     return matrix
 

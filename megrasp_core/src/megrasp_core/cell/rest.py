@@ -50,8 +50,8 @@ def come_to_rest(world: World) -> None:
         calm = calm + step if (world.object_speeds() < REST_SPEED).all() else 0.0
     if world.unstable():
         raise SimulationError(
-            "the physics diverged while the objects came to rest; "
-            "try another grasp or another seed"
+            "the physics diverged while the objects came to rest; try another grasp or another "
+            "seed"
         )
 
 

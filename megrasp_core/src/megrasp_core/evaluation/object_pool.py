@@ -93,7 +93,6 @@ def graspable_objects(
     if not found:
         raise InvalidRequestError(
             f"gripper {gripper.name!r} holds none of the {len(pool)} objects; expected objects "
-            "that fit between "
-            "its fingers. Give another --objects folder."
+            "that fit between its fingers. Give another --objects folder."
         )
     return found

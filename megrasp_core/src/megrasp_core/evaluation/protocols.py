@@ -82,8 +82,7 @@ class ProtocolSettings:
         if self.scenes < 1 or self.samples < 0 or self.drawn < 1 or self.returned < 1:
             raise InvalidRequestError(
                 f"scenes {self.scenes}, samples {self.samples}, drawn {self.drawn}, returned "
-                f"{self.returned} were "
-                "given; expected at least 1, 0, 1 and 1."
+                f"{self.returned} were given; expected at least 1, 0, 1 and 1."
             )
 
 

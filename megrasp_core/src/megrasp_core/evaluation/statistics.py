@@ -1,8 +1,7 @@
 """Rates with intervals (docs/architecture.md, "Rates").
 
 Samples of one scene share its luck, so their rate gets a cluster bootstrap over scenes; first
-grasps are nearly
-independent attempts and get Wilson's interval.
+grasps are nearly independent attempts and get Wilson's interval.
 """
 
 from __future__ import annotations

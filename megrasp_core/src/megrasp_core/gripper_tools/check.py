@@ -103,9 +103,8 @@ def _check_geometry(gripper: Gripper, result: GripperCheck) -> None:
     if not approaching > 0.0:
         result.errors.append(
             "from open to closed the pads approach each other by "
-            f"{round(1000 * approaching, 1) + 0.0:.1f} mm "
-            "along X; expected more than 0: correct the postures, or mount_from_model so that it "
-            "brings the closing axis to X"
+            f"{round(1000 * approaching, 1) + 0.0:.1f} mm along X; expected more than 0: correct "
+            "the postures, or mount_from_model so that it brings the closing axis to X"
         )
     width = opening(gripper)
     result.measures["opening"] = width

@@ -203,8 +203,7 @@ def _ray(
     except ImportError as error:
         raise DataError(
             "the executor 'ray' was given, but the package ray is not installed; expected an "
-            "installed ray. "
-            "Run `pip install megrasp-core[ray]`, or use --executor local."
+            "installed ray. Run `pip install megrasp-core[ray]`, or use --executor local."
         ) from error
     owned = not ray.is_initialized()
     if owned:

@@ -1,10 +1,9 @@
 """Equivariant message passing with reduced paths, and the self-product that restores the others.
 
 Per edge only l (x) 0 -> l, 0 (x) l -> l and l (x) l -> 0 are computed; each equals e3nn's
-`TensorProduct` over the
-same paths (component normalisation), at about a seventh of the cost of all paths. The full
-product over all
-natural-parity paths is taken once per node instead, where there are 16 times fewer of them.
+`TensorProduct` over the same paths (component normalisation), at about a seventh of the cost of
+all paths. The full product over all natural-parity paths is taken once per node instead, where
+there are 16 times fewer of them.
 """
 
 from __future__ import annotations

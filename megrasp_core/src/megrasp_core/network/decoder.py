@@ -2,10 +2,8 @@
 gripper's tokens.
 
 With r = (R, t) = world_from_tcp every chosen node is taken to x' = R^T (x - t), f' = D(R^T) f.
-There everything
-is invariant, so that plain dense layers follow and the prediction, expressed in the TCP frame, is
-exactly
-equivariant (docs/architecture.md, "Network").
+There everything is invariant, so that plain dense layers follow and the prediction, expressed in
+the TCP frame, is exactly equivariant (docs/architecture.md, "Network").
 """
 
 from __future__ import annotations

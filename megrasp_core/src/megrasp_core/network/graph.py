@@ -1,8 +1,7 @@
 """The levels of a scene and the neighbours between them.
 
 The graph is data of its own, so that a test can hold it fixed while it moves the scene: rebuilt
-from moved points
-it may differ where two distances agree to rounding.
+from moved points it may differ where two distances agree to rounding.
 """
 
 from __future__ import annotations

@@ -83,15 +83,13 @@ def load_model(
         result.load_state_dict(weights)
     except (OSError, SafetensorError, RuntimeError) as error:
         raise ModelError(
-            f"weights {folder / WEIGHTS} are damaged or do not fit the config ({error}); "
-            "expected the "
-            "file written with it. Restore the file from the repository or retrain."
+            f"weights {folder / WEIGHTS} are damaged or do not fit the config ({error}); expected "
+            "the file written with it. Restore the file from the repository or retrain."
         ) from error
     if info.sha256 and info.sha256 != file_digest(folder / WEIGHTS):
         raise ModelError(
             f"weights {folder / WEIGHTS} do not match the sha256 in {CONFIG}; expected "
-            f"{info.sha256}. "
-            "Restore both files from the same version."
+            f"{info.sha256}. Restore both files from the same version."
         )
     move_to(result, device, dtype)
     result.low_precision = info.low_precision and low_precision_pays(device)

@@ -48,9 +48,8 @@ class EquivarianceCase:
     def __str__(self) -> str:
         mark = "ok  " if self.passed else "FAIL"
         return (
-            f"{mark} {self.motion:<22} output {self.output} ({self.kind}): "
-            f"error {self.error:.3e}, scale {self.scale:.3e}, "
-            f"allowed {self.tolerance * self.scale:.3e}"
+            f"{mark} {self.motion:<22} output {self.output} ({self.kind}): error "
+            f"{self.error:.3e}, scale {self.scale:.3e}, allowed {self.tolerance * self.scale:.3e}"
         )
 
 

@@ -67,8 +67,8 @@ class SceneWriter:
             if changed:
                 raise DataError(
                     f"{self.folder} holds a data set that differs in {', '.join(changed)}; "
-                    "expected the same "
-                    "configuration to continue it. Give another --out, or the former options."
+                    "expected the same configuration to continue it. Give another --out, or the "
+                    "former options."
                 )
         (self.folder / "scenes").mkdir(parents=True, exist_ok=True)
         (self.folder / "shards").mkdir(parents=True, exist_ok=True)

@@ -122,7 +122,7 @@ def _line(measured: dict[str, Any]) -> str:
         entry = measured[what]
         low, high = entry["ci95"] or (0.0, 1.0)
         parts.append(
-            f"{entry['successes']} of {entry['trials']} {what} held "
-            f"(95 % {100 * low:.1f} to {100 * high:.1f} %)"
+            f"{entry['successes']} of {entry['trials']} {what} held (95 % {100 * low:.1f} to "
+            f"{100 * high:.1f} %)"
         )
     return ", ".join([*parts, f"{measured['start_collisions']} start collisions"])
