@@ -9,7 +9,7 @@ import pytest
 
 from megrasp_core.benchmarks.rate_tables import rate_tables
 from megrasp_core.benchmarks.trial_profile import STAGES
-from megrasp_core.cli.evaluation import bench
+from megrasp_core.cli.bench import bench
 from megrasp_core.errors import InvalidRequestError
 
 DOCS = Path(__file__).parents[3] / "docs"

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from tyro.extras import SubcommandApp
 
+from .bench import bench
 from .calibrate import calibrate
 from .compare import compare
 from .data.generate import grasps, scenes, stats
@@ -15,9 +16,10 @@ from .data.plan import plan
 from .data.render import render as render_recipes
 from .data.robust import robust
 from .data.rollouts import rollouts
+from .data.samples import samples
 from .data.verify import verify
 from .demo import demo
-from .evaluation import bench, evaluation, samples
+from .evaluation import evaluation
 from .gripper.fidelity import fidelity
 from .gripper.frames import frames
 from .gripper.inspect import check, listed, render, show

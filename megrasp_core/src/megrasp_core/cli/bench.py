@@ -1,0 +1,106 @@
+"""`megrasp bench`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from megrasp_core.errors import InvalidRequestError
+
+from .common import block_writer, emit, progress_bar
+
+__all__ = ["bench"]
+
+
+def bench(
+    out: Path | None = None,
+    device: Literal["cpu", "cuda"] = "cpu",
+    stage: Literal["synthesis", "render", "data", "training"] = "synthesis",
+    gripper: str = "robotiq_2f85",
+    model: str | None = None,
+    threads: int | None = None,
+    repeats: int = 7,
+    page: Path | None = None,
+    data: Path | None = None,
+    against: Path | None = None,
+) -> int:
+    """Seconds, CPU-seconds and memory of a synthesis, from cloud to ranked list.
+
+    Or CPU-seconds: `render`, to render the open and closed cloud of all registered and of 50
+    procedural grippers; `data`, rates of the data generator for the grippers that are trained;
+    `training`, poses a second in training beside those of an older checkout.
+
+    Try:
+      megrasp bench --threads 2 --out bench.json
+      megrasp bench --stage render --out render.json
+      megrasp bench --stage data --out docs/results/data_bench.json --page docs/data.md
+      git worktree add ../before 1540005
+      megrasp bench --stage training --data data/scenes --against ../before --repeats 3
+
+    Args:
+        out: result file (JSON); by default printed.
+        device: cpu or cuda.
+        stage: what is timed.
+        gripper: name or folder (synthesis).
+        model: id or folder (synthesis).
+        threads: torch threads (synthesis); rendering takes one.
+        repeats: timed calls per row.
+        page: markdown page whose lines between <!-- rates --> and <!-- /rates --> become tables
+            of the result (data).
+        data: data set of scenes labelled for four grippers each (training).
+        against: checkout to compare with (training).
+    """
+    if repeats < 1:
+        raise InvalidRequestError(f"--repeats {repeats} was given; expected at least 1.")
+    if page is not None and stage != "data":
+        raise InvalidRequestError(
+            f"--page was given with --stage {stage}; expected --stage data, whose tables it takes."
+        )
+    if (stage == "training") != (data is not None and against is not None):
+        raise InvalidRequestError(
+            f"--stage {stage} was given with --data {data} and --against {against}; expected both "
+            "with --stage training and none otherwise."
+        )
+    if data is not None and against is not None:
+        from megrasp_core.benchmarks.training import bench_training
+
+        with progress_bar(None, stage) as bar:
+            content = bench_training(
+                data,
+                against,
+                repeats=repeats,
+                on_progress=lambda done, _: bar.update(done - bar.n),
+            )
+        emit(content, out)
+        return 0
+    if stage == "render":
+        from megrasp_core.benchmarks.rendering import bench_rendering
+
+        with progress_bar(None, stage) as bar:
+            content = bench_rendering(
+                repeats=repeats, on_progress=lambda done, _: bar.update(done - bar.n)
+            )
+        emit(content, out)
+        return 0
+    if stage == "data":
+        from megrasp_core.benchmarks.data import bench_data
+        from megrasp_core.benchmarks.rate_tables import rate_tables
+        from megrasp_core.training import GRIPPERS
+
+        write = block_writer(page, "rates") if page is not None else None
+        with progress_bar(len(GRIPPERS), stage) as bar:
+            content = bench_data(GRIPPERS, on_progress=lambda done, _: bar.update(done - bar.n))
+        emit(content, out)
+        if write is not None:
+            write(rate_tables(content))
+        return 0
+    from megrasp_core.benchmarks.synthesis import bench_synthesis
+    from megrasp_core.synthesizer import GraspSynthesizer
+
+    synthesizer = GraspSynthesizer.load(model, gripper, device=device, threads=threads)
+    with progress_bar(None, stage) as bar:
+        content = bench_synthesis(
+            synthesizer, repeats=repeats, on_progress=lambda done, _: bar.update(done - bar.n)
+        )
+    emit(content, out)
+    return 0
