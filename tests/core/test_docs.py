@@ -10,7 +10,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-FOLDERS = ("docs", "gripper_descriptions", "megrasp_core", "models", "ros2_ws/src/megrasp_msgs")
+FOLDERS = (
+    "docs", "gripper_descriptions", "launch_scripts", "megrasp_core", "megrasp_ros", "models",
+    "ros2_ws/src/megrasp_msgs",
+)  # fmt: skip
 PAGES = sorted([*ROOT.glob("*.md"), *(p for name in FOLDERS for p in (ROOT / name).rglob("*.md"))])
 LINK = re.compile(r"\]\(([^)#\s]+)(#[^)\s]*)?\)")
 NAME = re.compile(r"`(megrasp_core(?:\.\w+)+)`|from (megrasp_core(?:\.\w+)*) import (\w+)")
