@@ -1,32 +1,43 @@
-"""Point cloud files: PLY, PCD, NPZ, NPY."""
+"""Point cloud files: PLY, PCD, NPZ, NPY. What cannot be read whole is an error, never points."""
 
 from __future__ import annotations
 
-import zipfile
-import zlib
+import logging
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from megrasp_core.errors import CloudError
 
+from .arrays import read_npy, read_npz
 from .cloud import Cloud
+from .pcd import read_pcd, write_pcd
+from .ply import read_ply, write_ply
 
-# What numpy raises for files that are cut short or are something else.
-_DAMAGE = (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error)
-SUFFIXES = (".ply", ".pcd", ".npz", ".npy")
+LOGGER = logging.getLogger(__name__)
+READERS: dict[str, Callable[[Path], Cloud]] = {
+    ".ply": read_ply,
+    ".pcd": read_pcd,
+    ".npz": read_npz,
+    ".npy": read_npy,
+}
+SUFFIXES = tuple(READERS)
+FARTHEST, NEAREST = 1e6, 1e-6
+"""No coordinates (m) of a scene are all below the one, or beyond the other."""
 
 
 def read_cloud(path: str | Path) -> Cloud:
-    """Read a cloud in metres; rows with NaN or infinity are dropped.
+    """Read a cloud in metres; rows with NaN or infinity are dropped, and those that are exactly
+    0 0 0, as many drivers mark pixels without a reading.
 
-    .ply, .pcd: points and colours. .npz: array `points` (N, 3) or (H, W, 3), optional `colors`
-    (0..1, or 0..255 as integers) and `viewpoint` (3,) or one row a point. .npy: the points alone.
+    .ply, .pcd: points and colours; .pcd: the sensor's place. .npz: array `points` (N, 3) or
+    (H, W, 3), optional `colors` (0..1, or 0..255 as integers) and `viewpoint` (3,) or one row a
+    point; or `depth` (H, W) with `K` (3, 3). .npy: the points alone.
 
-    Raises CloudError for a missing file, another suffix, a damaged file, a wrong shape, and when
-    no finite point is in it.
+    Raises:
+        CloudError: a missing file, another suffix, a damaged file, a wrong shape, or no point.
     """
     path = Path(path)
     suffix = _known_suffix(path)
@@ -35,12 +46,10 @@ def read_cloud(path: str | Path) -> Cloud:
             f"no cloud file {path}: it does not exist or is a folder. Expected a file with one "
             f"of {_suffixes()}."
         )
-    if suffix == ".npz":
-        cloud = _read_npz(path)
-    elif suffix == ".npy":
-        cloud = _build(path, _load(path), None, None)
-    else:
-        cloud = _read_open3d(path)
+    try:
+        cloud = READERS[suffix](path)
+    except OSError as error:
+        raise CloudError(f"{path} cannot be read ({error}).") from error
     if not len(cloud):
         raise CloudError(f"{path} holds no points; expected at least one. Was the scene captured?")
     finite = cloud.finite()
@@ -49,14 +58,46 @@ def read_cloud(path: str | Path) -> Cloud:
             f"all {len(cloud)} points of {path} are NaN or infinite; expected metres. Check the "
             "depth image."
         )
-    return finite
+    farthest = float(np.abs(finite.points).max())
+    if farthest > FARTHEST or 0.0 < farthest < NEAREST:
+        raise CloudError(
+            f"{path} has coordinates up to {farthest:.3g}; expected metres. The file is damaged, "
+            "or its numbers are of another type or byte order than it says."
+        )
+    seen = without_zeros(finite)
+    if len(seen) < len(finite):
+        LOGGER.warning(
+            "%d of %d points of %s are exactly 0 0 0, which are pixels without a reading; they "
+            "are left out",
+            len(finite) - len(seen),
+            len(cloud),
+            path,
+        )
+    if not len(seen):
+        raise CloudError(f"all {len(finite)} points of {path} are 0 0 0; expected metres.")
+    if len(seen) > 1 and (seen.points == seen.points[0]).all():
+        raise CloudError(
+            f"all {len(seen)} points of {path} are {seen.points[0].tolist()}; expected a surface."
+        )
+    return seen
+
+
+def without_zeros(cloud: Cloud) -> Cloud:
+    """The cloud without points that are exactly 0 0 0, where there are several: a surface has no
+    two points in one place, pixels without a reading do.
+    """
+    zero = (cloud.points == 0.0).all(axis=1)
+    return cloud.select(~zero) if np.count_nonzero(zero) > 1 else cloud
 
 
 def write_cloud(path: str | Path, cloud: Cloud, *, binary: bool = True) -> None:
     """Write a cloud; the suffix decides the format, `binary=False` writes PLY and PCD as text.
 
-    Only .npz keeps the viewpoint; .npy keeps the points alone. Missing folders are made.
-    Raises CloudError for another suffix or when the file cannot be written.
+    Only .npz and, with one place for all points, .pcd keep the viewpoint; .npy keeps the points
+    alone. Missing folders are made.
+
+    Raises:
+        CloudError: another suffix, or the file cannot be written.
     """
     path = Path(path)
     suffix = _known_suffix(path)
@@ -70,8 +111,10 @@ def write_cloud(path: str | Path, cloud: Cloud, *, binary: bool = True) -> None:
                 key: value for key, value in extra.items() if value is not None
             }
             np.savez_compressed(path, points=cloud.points, **arrays)
+        elif suffix == ".ply":
+            write_ply(path, cloud, binary=binary)
         else:
-            _write_open3d(path, cloud, binary)
+            write_pcd(path, cloud, binary=binary)
     except OSError as error:
         raise CloudError(
             f"cannot write {path} ({error}); expected a folder that may be written to."
@@ -90,78 +133,3 @@ def _known_suffix(path: Path) -> str:
             "Convert the cloud."
         )
     return suffix
-
-
-def _load(path: Path) -> Any:
-    try:
-        # No pickles: a cloud from elsewhere must not run code.
-        return np.load(path, allow_pickle=False)
-    except _DAMAGE as error:
-        raise CloudError(
-            f"{path} is damaged or no numpy file ({error}); expected float arrays."
-        ) from error
-
-
-def _read_npz(path: Path) -> Cloud:
-    archive = _load(path)
-    if not isinstance(archive, np.lib.npyio.NpzFile):
-        raise CloudError(f"{path} is no .npz archive; expected one with an array 'points' (N, 3).")
-    with archive:
-        if "points" not in archive:
-            names = ", ".join(sorted(archive.files)) or "(none)"
-            raise CloudError(
-                f"{path} has the arrays {names}; expected one named 'points' of shape (N, 3)."
-            )
-        try:
-            arrays = {
-                key: archive[key] for key in ("points", "colors", "viewpoint") if key in archive
-            }
-        except _DAMAGE as error:
-            raise CloudError(f"{path} is damaged ({error}); expected float arrays.") from error
-    return _build(path, arrays["points"], arrays.get("colors"), arrays.get("viewpoint"))
-
-
-def _build(
-    path: Path, points: NDArray[Any], colors: NDArray[Any] | None, viewpoint: NDArray[Any] | None
-) -> Cloud:
-    """Make the cloud; (H, W, 3) is flattened, integer colours are brought to 0..1."""
-    if colors is not None:
-        scale = 255.0 if np.issubdtype(colors.dtype, np.integer) else 1.0
-        colors = _flat(colors)[..., :3] / scale
-    if viewpoint is not None:
-        viewpoint = _flat(viewpoint)
-    try:
-        return Cloud(_flat(points), colors, viewpoint)
-    except CloudError as error:
-        raise CloudError(f"{path}: {error}") from None
-
-
-def _flat(array: NDArray[Any]) -> NDArray[Any]:
-    return array.reshape(-1, array.shape[-1]) if array.ndim == 3 else array
-
-
-def _read_open3d(path: Path) -> Cloud:
-    # Imported here: it takes a second or more, and most callers read no PLY or PCD.
-    import open3d as o3d
-
-    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-        data = o3d.io.read_point_cloud(path)
-    points = np.asarray(data.points)
-    if not len(points):
-        raise CloudError(
-            f"{path} holds no points or is no {path.suffix.lower()} file; expected a point cloud "
-            "in metres with the fields x, y, z."
-        )
-    return Cloud(points.copy(), np.asarray(data.colors).copy() if data.has_colors() else None)
-
-
-def _write_open3d(path: Path, cloud: Cloud, binary: bool) -> None:
-    import open3d as o3d
-
-    data = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(cloud.points))
-    if cloud.colors is not None:
-        data.colors = o3d.utility.Vector3dVector(cloud.colors)
-    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-        written = o3d.io.write_point_cloud(path, data, write_ascii=not binary)
-    if not written:
-        raise CloudError(f"cannot write {path}; expected a folder that may be written to.")
