@@ -15,7 +15,7 @@ from megrasp_core.errors import GravityError, InvalidRequestError
 from .common import Flag, progress_bar, read_region, say
 
 if TYPE_CHECKING:
-    from megrasp_core.pointcloud import Cloud
+    from megrasp_core.pointcloud import Cloud, Plane
     from megrasp_core.synthesizer import Synthesis
 
 __all__ = ["synthesize"]
@@ -35,6 +35,9 @@ def synthesize(
     top_down: Flag = False,
     sensor: Vector = None,
     region: Path | None = None,
+    floor: Annotated[tuple[float, ...] | None, tyro.conf.arg(metavar="H | NX NY NZ D")] = None,
+    assume_empty: Flag = False,
+    scale: float = 1.0,
     max_tilt: float | None = None,
     approach_distance: float = 0.10,
     approach_direction: Literal["tool", "gravity"] = "tool",
@@ -53,6 +56,7 @@ def synthesize(
       megrasp synthesize bin.ply --gripper robotiq_2f85 -n 20 --out grasps.json --picture bin.png
       megrasp synthesize view.npz --gripper robotiq_3f --frame optical --top-down --region bin.yaml
       megrasp synthesize view.pcd --gripper my_gripper/ --frame optical --gravity 0 0.5 0.87
+      megrasp synthesize mm.ply --gripper franka_hand --scale 0.001 --sensor 0 0 0.8
 
     Args:
         cloud: .ply, .pcd, .npz (array points, optional colors and viewpoint) or .npy; metres.
@@ -66,6 +70,10 @@ def synthesize(
             1 m over the middle of the cloud.
         region: JSON or YAML file with pose (7 numbers) and size (3) of the bin's inside; walls:
             false where it is no bin.
+        floor: height (m) of the surface under the objects over the origin, against gravity; or the
+            plane nx x + ny y + nz z = d, whose normal points up. Where the cloud does not show it.
+        assume_empty: where nothing was seen there is floor or wall, also in small patches.
+        scale: metres per unit of the file: 0.001 for millimetres, 0.0254 for inches.
         max_tilt: largest angle between gripper +Z and gravity (rad).
         approach_distance: from approach pose to pre-grasp (m).
         approach_direction: tool: along gripper Z; gravity: straight down.
@@ -80,7 +88,7 @@ def synthesize(
     """
     down = _gravity(frame, gravity, top_down)
     box, walls = (None, True) if region is None else read_region(region)
-    from megrasp_core.pointcloud import read_cloud
+    from megrasp_core.pointcloud import check_view, read_cloud
     from megrasp_core.synthesizer import GraspSynthesizer, SynthesisRequest
 
     # Before anything slow is loaded: bad numbers are told at once.
@@ -91,14 +99,22 @@ def synthesize(
         gravity=down,
         region=box,
         walls=walls,
+        floor=_floor(floor),
+        assume_empty=assume_empty,
         max_tilt=max_tilt,
         approach_distance=approach_distance,
         approach_direction=approach_direction,
         seed=seed,
         keep_all=all,
     )
-    points = read_cloud(cloud)
-    request = dataclasses.replace(request, sensor=_sensor(points, frame, sensor, down))
+    points = read_cloud(cloud).scaled(_factor(scale))
+    seen_from = _sensor(points, frame, sensor)
+    check_view(
+        points.points, sensor=seen_from, gravity=down, region=box, optical=frame == "optical"
+    )
+    if seen_from is None:
+        seen_from = _assumed_sensor(points, down)
+    request = dataclasses.replace(request, sensor=seen_from)
     synthesizer = GraspSynthesizer.load(model, gripper, device=device, threads=threads)
     with progress_bar(None, "synthesize") as bar:
 
@@ -144,18 +160,40 @@ def _gravity(
     )
 
 
+def _floor(numbers: tuple[float, ...] | None) -> Plane | float | None:
+    if numbers is None or len(numbers) == 1:
+        return None if numbers is None else numbers[0]
+    length = float(np.linalg.norm(numbers[:3])) if len(numbers) == 4 else 0.0
+    if not np.isfinite(numbers).all() or length < 1e-6:
+        raise InvalidRequestError(
+            f"--floor {' '.join(map(str, numbers))} was given; expected a height, or the four "
+            "numbers nx ny nz d of a plane whose normal points up."
+        )
+    from megrasp_core.pointcloud import Plane
+
+    return Plane(np.asarray(numbers[:3]) / length, numbers[3] / length)
+
+
+def _factor(scale: float) -> float:
+    if not (np.isfinite(scale) and scale > 0):
+        raise InvalidRequestError(
+            f"--scale {scale} was given; expected metres per unit of the file, for example 0.001 "
+            "for millimetres."
+        )
+    return scale
+
+
 def _sensor(
-    cloud: Cloud,
-    frame: str,
-    sensor: tuple[float, float, float] | None,
-    down: tuple[float, float, float],
+    cloud: Cloud, frame: str, sensor: tuple[float, float, float] | None
 ) -> np.ndarray | None:
     if sensor is not None:
         return np.asarray(sensor)
     if cloud.viewpoint is not None:
-        return None
-    if frame == "optical":
-        return np.zeros(3)
+        return cloud.viewpoint
+    return np.zeros(3) if frame == "optical" else None
+
+
+def _assumed_sensor(cloud: Cloud, down: tuple[float, float, float]) -> np.ndarray:
     direction = np.asarray(down) / np.linalg.norm(down)
     place = cloud.points.mean(axis=0) - ASSUMED_HEIGHT * direction
     LOGGER.warning(
@@ -168,6 +206,8 @@ def _sensor(
 
 
 def _report(result: Synthesis) -> None:
+    for note in result.notes:
+        say(f"note: {note}")
     if result.bin_empty:
         say(
             "nothing to grasp: only the support surface is left, nothing stands out of it by "

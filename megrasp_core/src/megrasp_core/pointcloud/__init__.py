@@ -2,8 +2,9 @@
 
 from .box import OrientedBox
 from .cloud import Cloud
+from .depth_image import DepthImage, DepthImageSettings
 from .emptiness import only_support_left
-from .io import read_cloud, write_cloud
+from .io import read_cloud, without_zeros, write_cloud
 from .knn import estimate_normals, neighbours, remove_outliers
 from .plane import Plane, PlaneSettings, support_plane
 from .scene import (
@@ -18,10 +19,14 @@ from .scene import (
     scene_nodes,
     surface_cloud,
 )
+from .unseen_structure import UnseenStructure, level_floor, unseen_structure
+from .view_check import check_view
 from .voxels import VoxelGroups, voxel_means
 
 __all__ = [
     "Cloud",
+    "DepthImage",
+    "DepthImageSettings",
     "OrientedBox",
     "Plane",
     "PlaneSettings",
@@ -29,10 +34,13 @@ __all__ = [
     "SceneSettings",
     "SurfaceCloud",
     "SurfacePoints",
+    "UnseenStructure",
     "VoxelGroups",
+    "check_view",
     "choose_nodes",
     "estimate_normals",
     "grown_region",
+    "level_floor",
     "neighbours",
     "node_counts",
     "only_support_left",
@@ -42,6 +50,8 @@ __all__ = [
     "scene_nodes",
     "support_plane",
     "surface_cloud",
+    "unseen_structure",
     "voxel_means",
+    "without_zeros",
     "write_cloud",
 ]

@@ -73,6 +73,30 @@ class Cloud:
         good = np.isfinite(self.points).all(axis=1)
         return self if bool(good.all()) else self.select(good)
 
+    def joined(self, points: FloatArray) -> Cloud:
+        """Return the cloud with further points (R, 3), grey and seen from the middle of the
+        sensor's places.
+        """
+        count = len(points)
+        colors, viewpoint = self.colors, self.viewpoint
+        if colors is not None:
+            colors = np.concatenate([colors, np.full((count, 3), 0.5)])
+        if viewpoint is not None and viewpoint.ndim == 2:
+            middle = np.broadcast_to(viewpoint.mean(axis=0), (count, 3))
+            viewpoint = np.concatenate([viewpoint, middle])
+        return Cloud(np.concatenate([self.points, points]), colors, viewpoint)
+
+    def moved(self, offset: ArrayLike) -> Cloud:
+        """Return the cloud moved by `offset` (3,) metres."""
+        by = np.asarray(offset, dtype=np.float64)
+        viewpoint = None if self.viewpoint is None else self.viewpoint + by
+        return Cloud(self.points + by, self.colors, viewpoint)
+
+    def scaled(self, factor: float) -> Cloud:
+        """Return the cloud with all lengths times `factor`: 0.001 makes metres of millimetres."""
+        viewpoint = None if self.viewpoint is None else factor * self.viewpoint
+        return Cloud(factor * self.points, self.colors, viewpoint)
+
     def transformed(self, target_from_cloud: ArrayLike) -> Cloud:
         """Return the same cloud in another frame; `target_from_cloud` is (4, 4) and rigid."""
         matrix = np.asarray(target_from_cloud, dtype=np.float64)

@@ -24,7 +24,7 @@ READERS: dict[str, Callable[[Path], Cloud]] = {
     ".npy": read_npy,
 }
 SUFFIXES = tuple(READERS)
-FARTHEST, NEAREST = 1e6, 1e-6
+FARTHEST, NEAREST = 1e7, 1e-6
 """No coordinates (m) of a scene are all below the one, or beyond the other."""
 
 

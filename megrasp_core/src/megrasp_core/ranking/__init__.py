@@ -5,7 +5,6 @@
 from .calibration import FEATURES, Calibration, fit_calibration, logistic_features
 from .check import REASONS, CheckSettings, GraspCheck, check_grasps, grasp_tilt
 from .contact import Contacts, ContactSettings, ContactSurface, contact_surface, measure_contacts
-from .depth_image import DepthImage, DepthImageSettings
 from .distance_field import DistanceField
 from .observation import ObservationSettings, PointState, SceneObservation
 from .probe import ClosingVolume, GripperProbe, ProbeSettings, closing_volume, gripper_probe
@@ -18,8 +17,6 @@ __all__ = [
     "ContactSettings",
     "ContactSurface",
     "Contacts",
-    "DepthImage",
-    "DepthImageSettings",
     "DistanceField",
     "FEATURES",
     "GraspCheck",

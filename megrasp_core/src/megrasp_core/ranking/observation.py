@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from megrasp_core.errors import InvalidRequestError
+from megrasp_core.pointcloud import DepthImage, DepthImageSettings
 
-from .depth_image import DepthImage, DepthImageSettings
 from .probe import thinned
 
 if TYPE_CHECKING:

@@ -8,9 +8,11 @@ from megrasp_core.pointcloud import (
     Cloud,
     SceneNodes,
     SceneSettings,
+    SurfaceCloud,
     only_support_left,
     scene_nodes,
     surface_cloud,
+    unseen_structure,
 )
 
 from .request import SynthesisRequest
@@ -28,11 +30,13 @@ class Perceived:
         nodes: what the model sees.
         judge: of poses in it.
         empty: nothing but the support surface is left.
+        notes: what was taken for granted, for who reads the answer.
     """
 
     nodes: SceneNodes
     judge: SceneJudge
     empty: bool
+    notes: tuple[str, ...] = ()
 
 
 def perceive(
@@ -46,15 +50,29 @@ def perceive(
     Raises:
         CloudError, EmptyRegionError: nothing of it is of use.
     """
-    surface = surface_cloud(
-        cloud,
-        sensor=request.sensor,
-        gravity=request.gravity,
-        region=request.region,
-        settings=scene,
+
+    def seen(of: Cloud) -> SurfaceCloud:
+        return surface_cloud(
+            of,
+            sensor=request.sensor,
+            gravity=request.gravity,
+            region=request.region,
+            settings=scene,
+        )
+
+    assert not isinstance(request.floor, (int, float))  # a plane since it was checked
+    surface = seen(cloud)
+    structure = unseen_structure(
+        surface,
+        floor=request.floor,
+        walls=request.walls,
+        assume_empty=request.assume_empty,
     )
+    if len(structure.points):
+        surface = seen(cloud.joined(structure.points))
     return Perceived(
         scene_nodes(surface, scene),
         SceneJudge(surface, request, ranking),
         only_support_left(surface.points, request.region, surface.gravity),
+        (structure.note,) if structure.note else (),
     )

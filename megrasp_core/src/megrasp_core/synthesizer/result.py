@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +45,14 @@ class RankedGrasp:
     confidence: float = float("nan")
     hidden_share: float = 0.0
 
+    def moved(self, offset: np.ndarray) -> RankedGrasp:
+        """The same grasp, moved by `offset` (3,) (m)."""
+        names = ("world_from_tcp", "world_from_gripper", "world_from_gripper_approach")
+        poses = {name: np.array(getattr(self, name)) for name in names}
+        for pose in poses.values():
+            pose[:3, 3] += offset
+        return replace(self, **poses)
+
     def to_json(self) -> dict[str, Any]:
         """Entry of `grasps` in grasps.json; undefined numbers become null."""
         content: dict[str, Any] = {
@@ -79,6 +87,7 @@ class Synthesis:
         gripper: name.
         model: id.
         bin_empty: nothing but the support surface was seen, so that nothing was drawn.
+        notes: what was taken for granted or looks wrong, in sentences.
         extra: further entries of grasps.json.
     """
 
@@ -91,6 +100,7 @@ class Synthesis:
     gripper: str
     model: str
     bin_empty: bool = False
+    notes: tuple[str, ...] = ()
     extra: dict[str, Any] = field(default_factory=dict)
 
     def to_json(self, frame: str = "world") -> dict[str, Any]:
@@ -110,6 +120,7 @@ class Synthesis:
             "rejected": dict(self.rejected),
             "timing": {key: round(value, 5) for key, value in self.timing.items()},
             **({"bin_empty": True} if self.bin_empty else {}),
+            **({"notes": list(self.notes)} if self.notes else {}),
             **self.extra,
         }
 

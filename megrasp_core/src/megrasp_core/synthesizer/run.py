@@ -70,6 +70,7 @@ class SynthesisRun:
         self.mounted, self.request = mounted, request
         self.on_step, self.cancelled = on_step, cancelled
         self.timing: dict[str, float] = {}
+        self.notes: tuple[str, ...] = ()
         self.generator = torch.Generator(device=self.model.device)
         self.generator.manual_seed(int(request.seed or 0))
         self.keep = request.drawn
@@ -82,6 +83,7 @@ class SynthesisRun:
         request, ranking = self.request, self.settings.ranking
         with self._phase("perceive"):
             seen = perceive(cloud, request, self.scene_settings, ranking)
+        self.notes = seen.notes
         if seen.empty:
             return self._answer([], rejection_counts(np.zeros(0, "<U12")), start, empty=True)
         with self._phase("encode"):
@@ -123,6 +125,7 @@ class SynthesisRun:
             gripper=self.mounted.gripper.name,
             model=self.model.model_id,
             bin_empty=empty,
+            notes=self.notes,
         )
 
     def _descend(self, field: SceneField) -> PoseBatch:

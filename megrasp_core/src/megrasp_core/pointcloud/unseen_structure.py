@@ -1,0 +1,246 @@
+"""Floor and walls that are there and were not seen: black bins, cropped tables, segmented objects.
+
+The network and the check were made for scenes that stand on something. Where a cloud shows no
+support, its place is taken from what the caller says, from the region, or from the lowest points,
+and the support is put in as points where the camera looked past everything else. What lies behind
+an object stays unknown.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from megrasp_core.errors import GravityError, InvalidRequestError
+
+from .depth_image import DepthImage
+from .plane import Plane
+from .scene import SurfaceCloud
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+STEP = (0.001, 0.004)
+"""Least and largest distance (m) between the points that are put in."""
+BEYOND = 0.10
+"""A floor without a region reaches so far beyond what was seen (m)."""
+TOLERANCE = 0.010
+"""A floor that is known to this (m) was seen where the depth agrees."""
+MOSTLY = 0.5
+"""The floor was not seen when this share of the floor in view shows nothing."""
+ENOUGH = 0.15
+"""Nor is that said of a heap's few gaps: so much of the whole floor has to show nothing."""
+GAP = 0.001
+"""Area (m2) of a patch without readings from which it is a look past the objects, not a dark or
+shiny spot on one."""
+LOWEST = 0.5
+"""Percentile of the heights that an unknown floor is taken from."""
+
+
+@dataclass(frozen=True)
+class UnseenStructure:
+    """What was put in.
+
+    Attributes:
+        points: (R, 3) on floor and walls, in the frame of the cloud.
+        floor: the plane of the floor, None where there is nothing to say of it.
+        note: what was done and how to do it better, "" where nothing was.
+    """
+
+    points: FloatArray
+    floor: Plane | None
+    note: str
+
+
+def unseen_structure(
+    surface: SurfaceCloud,
+    *,
+    floor: Plane | None = None,
+    walls: bool = True,
+    assume_empty: bool = False,
+) -> UnseenStructure:
+    """Find the floor, and the walls of a bin, that a cloud should show and does not.
+
+    Args:
+        surface: what was seen.
+        floor: where it is known.
+        walls: the region is the inside of a bin.
+        assume_empty: all that shows no reading is floor or wall; otherwise only where most of
+            the floor in view shows none, and patches without a reading that are smaller than a
+            gap between objects stay unknown.
+
+    Raises:
+        InvalidRequestError: most of the cloud lies below `floor`.
+    """
+    nothing = UnseenStructure(np.zeros((0, 3)), floor, "")
+    if floor is not None:
+        _check_floor(surface, floor)
+    in_bin = walls and surface.region is not None
+    source = "as given"
+    if floor is None and in_bin:
+        floor, source = _bottom(surface), "taken from the region"
+    if floor is None and surface.gravity is not None and not surface.on_plane.any():
+        floor, source = _lowest(surface), "taken from the lowest points"
+    if floor is None:
+        return nothing
+    image = DepthImage(surface.crop, surface.sensor)
+    step = float(np.clip(image.pixel_size, *STEP))
+    on_floor = _grid(floor, _footprint(surface, floor), step)
+    if in_bin:
+        on_floor = on_floor[_through_the_opening(surface, floor, on_floor)]
+    empty, seen = _looks(image, on_floor)
+    share = empty.sum() / max(1, empty.sum() + seen.sum())
+    dark = share > MOSTLY and empty.sum() > ENOUGH * len(empty)
+    if not (assume_empty or dark):
+        return nothing
+    points = on_floor
+    if in_bin:
+        sides = _sides(surface, floor, step)
+        points = np.concatenate([points, sides[_through_the_opening(surface, floor, sides)]])
+        empty, _ = _looks(image, points)
+    if not assume_empty:
+        empty &= _past_objects(image, points)
+    note = f"the floor shows no reading in {100 * share:.0f} % of it; it is {source}"
+    if in_bin:
+        note += ", and the walls with it"
+    elif source == "taken from the lowest points":
+        note += (
+            ", and grasps depend on it. Give the height of the floor, or the whole cloud and a "
+            "region around the objects"
+        )
+    return UnseenStructure(points[empty], floor, note + ".")
+
+
+def level_floor(height: float, gravity: FloatArray | None) -> Plane:
+    """The plane at a height (m) over the frame's origin, against gravity.
+
+    Raises:
+        GravityError: gravity is not known.
+    """
+    if gravity is None:
+        raise GravityError(
+            f"floor {height} was given and gravity is not; expected both, because a height is "
+            "measured against gravity. Give gravity, or the floor as nx ny nz d."
+        )
+    return Plane(-np.asarray(gravity, dtype=np.float64), float(height))
+
+
+def _check_floor(surface: SurfaceCloud, floor: Plane) -> None:
+    height = floor.height(surface.points)
+    below = int(np.count_nonzero(height < -0.02))
+    if below > 0.2 * len(height):
+        raise InvalidRequestError(
+            f"the floor was given where {100 * below / len(height):.0f} % of the cloud lie more "
+            f"than 20 mm below it (the lowest {-1000 * float(height.min()):.0f} mm); expected the "
+            "surface that the objects lie on. Check floor, frame and gravity."
+        )
+
+
+def _bottom(surface: SurfaceCloud) -> Plane:
+    region = surface.region
+    assert region is not None
+    up = surface.sensor - region.centre if surface.gravity is None else -surface.gravity
+    axis, sign = region.face_towards(up)
+    normal = region.rotation[:, axis] * sign
+    return Plane(normal, float(normal @ region.centre - region.size[axis] / 2))
+
+
+def _lowest(surface: SurfaceCloud) -> Plane:
+    assert surface.gravity is not None
+    up = -surface.gravity
+    return Plane(up, float(np.percentile(surface.points @ up, LOWEST)))
+
+
+def _axes(normal: FloatArray) -> FloatArray:
+    """(2, 3) orthonormal, in the plane of a normal."""
+    first = np.cross(np.eye(3)[int(np.argmin(np.abs(normal)))], normal)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(normal, first)])
+
+
+def _footprint(surface: SurfaceCloud, floor: Plane) -> FloatArray:
+    """(4, 3): a corner of the rectangle of floor, the two edges from it, and the normal."""
+    region = surface.region
+    if region is not None:
+        axis, _ = region.face_towards(floor.normal)
+        first, second = (
+            region.rotation[:, (axis + k) % 3] * region.size[(axis + k) % 3] for k in (1, 2)
+        )
+        corner = region.centre - (first + second) / 2
+    else:
+        axes = _axes(floor.normal)
+        flat = surface.points @ axes.T
+        low, high = np.percentile(flat, (0.5, 99.5), axis=0)
+        low, high = low - BEYOND, high + BEYOND
+        first, second = axes * (high - low)[:, None]
+        corner = low @ axes
+    return np.stack([corner, first, second, floor.normal])
+
+
+def _grid(floor: Plane, footprint: FloatArray, step: float) -> FloatArray:
+    """Points (P, 3) on the floor, over the footprint along the floor's normal."""
+    corner, first, second, normal = footprint
+    points = _patch(corner, first, second, step)
+    return points - floor.height(points)[:, None] * normal
+
+
+def _patch(corner: FloatArray, first: FloatArray, second: FloatArray, step: float) -> FloatArray:
+    counts = [max(2, int(np.ceil(float(np.linalg.norm(edge)) / step))) for edge in (first, second)]
+    u, v = np.meshgrid(*((np.arange(n) + 0.5) / n for n in counts), indexing="ij")
+    return corner + u.reshape(-1, 1) * first + v.reshape(-1, 1) * second
+
+
+def _sides(surface: SurfaceCloud, floor: Plane, step: float) -> FloatArray:
+    """Points (P, 3) on the four inner sides of the region, from its bottom to its top."""
+    region = surface.region
+    assert region is not None
+    axis, sign = region.face_towards(floor.normal)
+    up = region.rotation[:, axis] * region.size[axis] * sign
+    edges = [region.rotation[:, (axis + k) % 3] * region.size[(axis + k) % 3] for k in (1, 2)]
+    sides = []
+    for along, across in (edges, edges[::-1]):
+        for side in (-1.0, 1.0):
+            corner = region.centre - up / 2 - along / 2 + side * across / 2
+            sides.append(_patch(corner, along, up, step))
+    return np.concatenate(sides)
+
+
+def _through_the_opening(surface: SurfaceCloud, floor: Plane, points: FloatArray) -> BoolArray:
+    """Whether the sensor sees points (P, 3) of a bin over its rim, not through a wall."""
+    region = surface.region
+    assert region is not None
+    axis, sign = region.face_towards(floor.normal)
+    sensor = region.local(surface.sensor[None])[0]
+    inside = region.local(points)
+    top = sign * region.size[axis] / 2
+    share = (top - inside[:, axis]) / (sensor[axis] - inside[:, axis])
+    at_top = inside + share[:, None] * (sensor - inside)
+    sides = [(axis + 1) % 3, (axis + 2) % 3]
+    over_rim = (np.abs(at_top[:, sides]) <= region.size[sides] / 2 + 1e-9).all(axis=1)
+    return over_rim & (share >= 0.0) & (share <= 1.0)
+
+
+def _looks(image: DepthImage, points: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """Of points (P, 3): where nothing was seen, and where they were seen themselves, or what lies
+    behind them.
+    """
+    depth, seen, _ = image.lookup(points)
+    empty = ~np.isfinite(seen)
+    return empty, ~empty & (seen >= depth - TOLERANCE)
+
+
+def _past_objects(image: DepthImage, points: FloatArray) -> BoolArray:
+    """Whether points (P, 3) lie in the open: outside the image, in a patch without readings that
+    reaches its border, or in one larger than `GAP`.
+    """
+    labels = np.zeros(image.seen.shape, dtype=np.int32)
+    count = int(ndimage.label(~np.isfinite(image.seen), output=labels))  # type: ignore[arg-type]
+    area = np.bincount(labels.ravel(), minlength=count + 1) * image.pixel_size**2
+    border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+    open_patch = area > GAP
+    open_patch[border] = True
+    row, column, outside = image.pixels(points)
+    return outside | open_patch[labels[row, column]]
