@@ -19,6 +19,7 @@ from .box import OrientedBox
 from .cloud import Cloud
 from .knn import local_normals, neighbours, oriented, outlier_mask
 from .plane import PlaneSettings, support_plane
+from .sensor import sensor_place
 from .voxels import VoxelGroups
 
 FloatArray = NDArray[np.float64]
@@ -271,19 +272,14 @@ def _normals(
 
 
 def _sensor(cloud: Cloud, sensor: ArrayLike | None) -> FloatArray:
-    origin = cloud.viewpoint if sensor is None else np.asarray(sensor, dtype=np.float64)
+    origin = cloud.viewpoint if sensor is None else sensor
     if origin is None:
         raise CloudError(
             "nobody says where the sensor was: the cloud has no viewpoint and no sensor was "
             "given. Give the sensor's place (x, y, z) in the cloud's frame; in a camera's "
             "optical frame it is 0 0 0."
         )
-    if origin.shape not in ((3,), cloud.points.shape) or not np.isfinite(origin).all():
-        raise CloudError(
-            f"the sensor's place has the shape {origin.shape}; expected three finite numbers (x, "
-            f"y, z), or one row for each of the {len(cloud)} points."
-        )
-    return origin
+    return sensor_place(origin, len(cloud))
 
 
 def _unit_gravity(gravity: ArrayLike | None) -> FloatArray | None:

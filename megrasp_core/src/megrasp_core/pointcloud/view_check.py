@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from megrasp_core.errors import CloudError, GravityError
 
 from .box import OrientedBox
+from .sensor import sensor_place
 
 FloatArray = NDArray[np.float64]
 
@@ -55,14 +56,16 @@ def check_view(
         optical: the frame is said to be a camera's: x right, y down, z forward.
 
     Raises:
-        CloudError: other units than metres; too far from the origin for the precision of the
-            numbers; points behind the camera.
+        CloudError: a sensor's place of another shape; other units than metres; too far from the
+            origin for the precision of the numbers; points behind the camera.
         GravityError: the sensor would lie below what it sees.
     """
     sample = _deciding(points, region)
     if not len(sample):
         return
-    place = None if sensor is None else np.atleast_2d(np.asarray(sensor, float)).mean(axis=0)
+    place = None
+    if sensor is not None:
+        place = np.atleast_2d(sensor_place(sensor, len(points))).mean(axis=0)
     _check_units(sample, place)
     _check_steps(sample)
     if optical:
