@@ -25,6 +25,8 @@ def evaluation(
     drawn: int = 100,
     returned: int = 20,
     friction: float = 0.8,
+    views: int = 10,
+    crop_floor: Flag = False,
     model: str | None = None,
     baseline: Flag = False,
     ceiling: Flag = False,
@@ -42,6 +44,7 @@ def evaluation(
       megrasp eval --gripper robotiq_2f85 --out binpick.json
       megrasp eval --gripper robotiq_2f85 --objects $MEGRASP_ASSETS/objects/devtest --out o.json
       megrasp eval --gripper robotiq_2f85 --baseline --out baseline.json
+      megrasp eval --gripper franka_hand --protocol declutter --views 1 --crop-floor --out c.json
       megrasp eval --gripper robotiq_2f85 --ceiling --samples 0 --out ceiling.json
 
     Args:
@@ -56,6 +59,8 @@ def evaluation(
         drawn: poses drawn per synthesis.
         returned: grasps returned per synthesis.
         friction: of everything.
+        views: cameras around a table; 1: one side view, 52 degrees down.
+        crop_floor: cut the table from the cloud, as for planners that want segmented objects.
         model: id or folder.
         baseline: the analytic antipodal baseline instead of the model.
         ceiling: a planner that knows the true geometry and tries grasps before it names one: how
@@ -74,7 +79,7 @@ def evaluation(
 
     settings = ProtocolSettings(
         protocol=protocol, scenes=scenes, samples=samples, drawn=drawn, returned=returned,
-        friction=friction, seed=seed,
+        friction=friction, views=views, crop_floor=crop_floor, seed=seed,
     )  # fmt: skip
     loaded = load_gripper(gripper, () if gripper_path is None else (gripper_path,))
     planner: Planner
