@@ -97,6 +97,38 @@ def test_an_unknown_floor_is_estimated_and_said_so() -> None:
     np.testing.assert_allclose(given.points[:, 2], -0.01, atol=1e-9)
 
 
+def test_the_top_of_a_flat_object_is_no_table() -> None:
+    book = top(-0.05, 0.0, 0.02, edge=0.14)
+    beside = np.concatenate([top(0.12, y, 0.05 + y, edge=0.05) for y in (-0.06, 0.0, 0.06)])
+    surface = seen(np.concatenate([book, beside]))
+    assert surface.on_plane.any(), "the plane of the book is what this is about"
+    found = unseen_structure(surface)
+    assert "taken from the lowest points" in found.note
+    around = np.concatenate([book - (0, 0, 0.02), beside, top(0.0, 0.0, 0.0, edge=0.5)])
+    assert not len(unseen_structure(seen(around)).points)
+
+
+def test_several_sensors_see_more_of_the_floor() -> None:
+    box = np.concatenate([top(0.0, 0.0, 0.1, edge=0.1), top(0.0, 0.15, 0.04, edge=0.05)])
+    left, right = np.array([-0.5, 0.0, 0.6]), np.array([0.5, 0.0, 0.6])
+    floor = level_floor(0.0, DOWN)
+
+    def shadow(*sensors: np.ndarray) -> int:
+        cloud = Cloud(box, viewpoint=sensors[0])
+        for sensor in sensors[1:]:
+            cloud = cloud.joined(Cloud(box, viewpoint=sensor))
+        surface = surface_cloud(cloud, gravity=DOWN)
+        assert len(surface.views) == len(sensors)
+        found = unseen_structure(surface, floor=floor)
+        assert {tuple(row) for row in found.seen_from} <= {tuple(row) for row in sensors}
+        beside = np.abs(found.points[:, 1]) < 0.03
+        return int((beside & (np.abs(found.points[:, 0] - 0.09) < 0.02)).sum())
+
+    assert shadow(right) > 50
+    assert not shadow(left)
+    assert shadow(left, right) > 50
+
+
 def test_nothing_is_put_in_where_gravity_and_floor_are_unknown() -> None:
     surface = surface_cloud(Cloud(top(0, 0, 0.05)[:400]), sensor=SENSOR)
     found = unseen_structure(surface)

@@ -21,6 +21,7 @@ from .scene import (
 )
 from .unseen_structure import UnseenStructure, level_floor, unseen_structure
 from .view_check import check_view
+from .views import View, by_sensor
 from .voxels import VoxelGroups, voxel_means
 
 __all__ = [
@@ -35,7 +36,9 @@ __all__ = [
     "SurfaceCloud",
     "SurfacePoints",
     "UnseenStructure",
+    "View",
     "VoxelGroups",
+    "by_sensor",
     "check_view",
     "choose_nodes",
     "estimate_normals",

@@ -20,6 +20,7 @@ from .cloud import Cloud
 from .knn import local_normals, neighbours, oriented, outlier_mask
 from .plane import PlaneSettings, support_plane
 from .sensor import sensor_place
+from .views import View, by_sensor
 from .voxels import VoxelGroups
 
 FloatArray = NDArray[np.float64]
@@ -71,8 +72,9 @@ class SurfaceCloud:
     """The cleaned surface of the scene, in the cloud's frame (M voxel means of K measured points).
 
     points (M, 3); normals (M, 3) unit, turned to the sensor; on_plane (M,) true on the support
-    plane; sensor (3,); gravity (3,) unit or None; crop (K, 3) every finite point in the grown
-    region, for the check of what was seen; region as given or None.
+    plane; sensor (3,), the middle of several; gravity (3,) unit or None; crop (K, 3) every finite
+    point in the grown region, for the check of what was seen; region as given or None. views:
+    the same points by the sensor that saw them. labels: (K,) of the crop, see `Cloud`, or None.
     """
 
     points: FloatArray
@@ -82,6 +84,8 @@ class SurfaceCloud:
     gravity: FloatArray | None
     crop: FloatArray
     region: OrientedBox | None
+    views: tuple[View, ...] = ()
+    labels: NDArray[np.int32] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,8 +168,18 @@ def surface_cloud(
     on_plane = np.zeros(len(points), bool)
     if plane is not None:
         on_plane = np.abs(plane.height(points)) <= settings.plane_band
-    centre = origin[inside].mean(axis=0) if origin.ndim == 2 else origin
-    return SurfaceCloud(points, normals, on_plane, centre, down, crop, region)
+    seen_crop_from = origin[inside] if origin.ndim == 2 else origin
+    return SurfaceCloud(
+        points,
+        normals,
+        on_plane,
+        np.atleast_2d(seen_crop_from).mean(axis=0),
+        down,
+        crop,
+        region,
+        by_sensor(crop, seen_crop_from),
+        None if cloud.labels is None else cloud.labels[inside],
+    )
 
 
 def scene_nodes(

@@ -13,12 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.spatial import ConvexHull, QhullError
 
 from megrasp_core.errors import GravityError, InvalidRequestError
 
 from .depth_image import DepthImage
 from .plane import Plane
 from .scene import SurfaceCloud
+from .views import View
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -46,11 +48,13 @@ class UnseenStructure:
 
     Attributes:
         points: (R, 3) on floor and walls, in the frame of the cloud.
+        seen_from: (R, 3) a sensor that looks at each of them.
         floor: the plane of the floor, None where there is nothing to say of it.
         note: what was done and how to do it better, "" where nothing was.
     """
 
     points: FloatArray
+    seen_from: FloatArray
     floor: Plane | None
     note: str
 
@@ -75,34 +79,34 @@ def unseen_structure(
     Raises:
         InvalidRequestError: most of the cloud lies below `floor`.
     """
-    nothing = UnseenStructure(np.zeros((0, 3)), floor, "")
+    nothing = UnseenStructure(np.zeros((0, 3)), np.zeros((0, 3)), floor, "")
     if floor is not None:
         _check_floor(surface, floor)
     in_bin = walls and surface.region is not None
     source = "as given"
     if floor is None and in_bin:
         floor, source = _bottom(surface), "taken from the region"
-    if floor is None and surface.gravity is not None and not surface.on_plane.any():
+    if floor is None and surface.gravity is not None and not _shows_support(surface):
         floor, source = _lowest(surface), "taken from the lowest points"
     if floor is None:
         return nothing
-    image = DepthImage(surface.crop, surface.sensor)
-    step = float(np.clip(image.pixel_size, *STEP))
+    views = [_ViewOfNothing(surface, view) for view in surface.views]
+    step = float(np.clip(min(view.image.pixel_size for view in views), *STEP))
     on_floor = _grid(floor, _footprint(surface, floor), step)
-    if in_bin:
-        on_floor = on_floor[_through_the_opening(surface, floor, on_floor)]
-    empty, seen = _looks(image, on_floor)
+    inside = floor if in_bin else None
+    empty = np.logical_or.reduce([view.empty(on_floor, inside) for view in views])
+    seen = np.logical_or.reduce([view.seen(on_floor, inside) for view in views])
+    empty &= ~seen
     share = empty.sum() / max(1, empty.sum() + seen.sum())
     dark = share > MOSTLY and empty.sum() > ENOUGH * len(empty)
     if not (assume_empty or dark):
         return nothing
-    points = on_floor
-    if in_bin:
-        sides = _sides(surface, floor, step)
-        points = np.concatenate([points, sides[_through_the_opening(surface, floor, sides)]])
-        empty, _ = _looks(image, points)
-    if not assume_empty:
-        empty &= _past_objects(image, points)
+    points = np.concatenate([on_floor, _sides(surface, floor, step)]) if in_bin else on_floor
+    looks = np.stack([view.empty(points, inside, all_gaps=assume_empty) for view in views])
+    keep = looks.any(axis=0)
+    for view in views:
+        keep &= ~view.seen(points, inside)
+    sensors = np.stack([view.sensor for view in views])
     note = f"the floor shows no reading in {100 * share:.0f} % of it; it is {source}"
     if in_bin:
         note += ", and the walls with it"
@@ -111,7 +115,7 @@ def unseen_structure(
             ", and grasps depend on it. Give the height of the floor, or the whole cloud and a "
             "region around the objects"
         )
-    return UnseenStructure(points[empty], floor, note + ".")
+    return UnseenStructure(points[keep], sensors[looks.argmax(axis=0)[keep]], floor, note + ".")
 
 
 def level_floor(height: float, gravity: FloatArray | None) -> Plane:
@@ -137,6 +141,22 @@ def _check_floor(surface: SurfaceCloud, floor: Plane) -> None:
             f"than 20 mm below it (the lowest {-1000 * float(height.min()):.0f} mm); expected the "
             "surface that the objects lie on. Check floor, frame and gravity."
         )
+
+
+def _shows_support(surface: SurfaceCloud) -> bool:
+    """Whether the plane that was found carries the rest; the level top of a flat object among
+    others does not: they stand beside it.
+    """
+    if not surface.on_plane.any() or surface.gravity is None:
+        return False
+    flat = surface.points @ _axes(surface.gravity).T
+    plane, rest = flat[surface.on_plane], flat[~surface.on_plane]
+    try:
+        sides = ConvexHull(plane).equations
+    except QhullError:
+        return False
+    beside = (rest @ sides[:, :2].T + sides[:, 2]).max(axis=1, initial=-np.inf) > 0.0
+    return not len(rest) or bool(beside.mean() < MOSTLY)
 
 
 def _bottom(surface: SurfaceCloud) -> Plane:
@@ -208,39 +228,61 @@ def _sides(surface: SurfaceCloud, floor: Plane, step: float) -> FloatArray:
     return np.concatenate(sides)
 
 
-def _through_the_opening(surface: SurfaceCloud, floor: Plane, points: FloatArray) -> BoolArray:
-    """Whether the sensor sees points (P, 3) of a bin over its rim, not through a wall."""
-    region = surface.region
-    assert region is not None
-    axis, sign = region.face_towards(floor.normal)
-    sensor = region.local(surface.sensor[None])[0]
-    inside = region.local(points)
-    top = sign * region.size[axis] / 2
-    share = (top - inside[:, axis]) / (sensor[axis] - inside[:, axis])
-    at_top = inside + share[:, None] * (sensor - inside)
-    sides = [(axis + 1) % 3, (axis + 2) % 3]
-    over_rim = (np.abs(at_top[:, sides]) <= region.size[sides] / 2 + 1e-9).all(axis=1)
-    return over_rim & (share >= 0.0) & (share <= 1.0)
+class _ViewOfNothing:
+    """Where one sensor saw nothing."""
+
+    def __init__(self, surface: SurfaceCloud, view: View) -> None:
+        self.sensor, self.region = view.sensor, surface.region
+        self.image = DepthImage(view.points, view.sensor)
+        self._open = _open_patches(self.image)
+
+    def empty(
+        self, points: FloatArray, bin_floor: Plane | None, *, all_gaps: bool = True
+    ) -> BoolArray:
+        """Whether the sensor looked at points (P, 3) and saw nothing there or before.
+
+        Args:
+            points: in the frame of the cloud.
+            bin_floor: the region is a bin with this floor, into which it looks over the rim.
+            all_gaps: also in small patches without readings.
+        """
+        _, seen, _ = self.image.lookup(points)
+        empty = ~np.isfinite(seen)
+        if not all_gaps:
+            row, column, outside = self.image.pixels(points)
+            empty &= outside | self._open[row, column]
+        return empty & self._looks_at(points, bin_floor)
+
+    def seen(self, points: FloatArray, bin_floor: Plane | None) -> BoolArray:
+        """Whether the sensor saw points (P, 3) themselves, or something behind them."""
+        depth, seen, _ = self.image.lookup(points)
+        return np.isfinite(seen) & (seen >= depth - TOLERANCE) & self._looks_at(points, bin_floor)
+
+    def _looks_at(self, points: FloatArray, bin_floor: Plane | None) -> BoolArray:
+        """Whether no wall of the bin is between."""
+        if bin_floor is None:
+            return np.ones(len(points), dtype=bool)
+        assert self.region is not None
+        axis, sign = self.region.face_towards(bin_floor.normal)
+        sensor = self.region.local(self.sensor[None])[0]
+        inside = self.region.local(points)
+        top = sign * self.region.size[axis] / 2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = (top - inside[:, axis]) / (sensor[axis] - inside[:, axis])
+            at_top = inside + share[:, None] * (sensor - inside)
+            sides = [(axis + 1) % 3, (axis + 2) % 3]
+            over_rim = (np.abs(at_top[:, sides]) <= self.region.size[sides] / 2 + 1e-9).all(axis=1)
+            return over_rim & (share >= 0.0) & (share <= 1.0)
 
 
-def _looks(image: DepthImage, points: FloatArray) -> tuple[BoolArray, BoolArray]:
-    """Of points (P, 3): where nothing was seen, and where they were seen themselves, or what lies
-    behind them.
-    """
-    depth, seen, _ = image.lookup(points)
-    empty = ~np.isfinite(seen)
-    return empty, ~empty & (seen >= depth - TOLERANCE)
-
-
-def _past_objects(image: DepthImage, points: FloatArray) -> BoolArray:
-    """Whether points (P, 3) lie in the open: outside the image, in a patch without readings that
-    reaches its border, or in one larger than `GAP`.
+def _open_patches(image: DepthImage) -> BoolArray:
+    """Pixels without readings in patches that reach the border of the image, or are larger than
+    `GAP`.
     """
     labels = np.zeros(image.seen.shape, dtype=np.int32)
     count = int(ndimage.label(~np.isfinite(image.seen), output=labels))  # type: ignore[arg-type]
     area = np.bincount(labels.ravel(), minlength=count + 1) * image.pixel_size**2
-    border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
     open_patch = area > GAP
-    open_patch[border] = True
-    row, column, outside = image.pixels(points)
-    return outside | open_patch[labels[row, column]]
+    open_patch[np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])] = True
+    open_patch[0] = False
+    return open_patch[labels]

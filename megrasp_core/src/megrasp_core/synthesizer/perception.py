@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from megrasp_core.pointcloud import (
     Cloud,
@@ -54,7 +54,7 @@ def perceive(
     def seen(of: Cloud) -> SurfaceCloud:
         return surface_cloud(
             of,
-            sensor=request.sensor,
+            sensor=None if of is not cloud else request.sensor,
             gravity=request.gravity,
             region=request.region,
             settings=scene,
@@ -69,7 +69,9 @@ def perceive(
         assume_empty=request.assume_empty,
     )
     if len(structure.points):
-        surface = seen(cloud.joined(structure.points))
+        found = Cloud(structure.points, viewpoint=structure.seen_from)
+        origin = cloud.viewpoint if request.sensor is None else request.sensor
+        surface = seen(replace(cloud, viewpoint=origin).joined(found))
     return Perceived(
         scene_nodes(surface, scene),
         SceneJudge(surface, request, ranking),

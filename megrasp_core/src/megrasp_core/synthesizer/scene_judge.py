@@ -80,6 +80,7 @@ class SceneJudge:
             walls=request.walls,
             floor=plane,
             surface_points=surface.points,
+            views=surface.views,
             settings=self.settings.observation,
         )
         self.material = self._material(surface, plane)
