@@ -3,6 +3,7 @@
 from .box import OrientedBox
 from .cloud import Cloud
 from .depth_image import DepthImage, DepthImageSettings
+from .depth_points import camera_matrix, depth_points, read_depth_cloud
 from .emptiness import only_support_left
 from .io import read_cloud, without_zeros, write_cloud
 from .knn import estimate_normals, neighbours, remove_outliers
@@ -39,8 +40,10 @@ __all__ = [
     "View",
     "VoxelGroups",
     "by_sensor",
+    "camera_matrix",
     "check_view",
     "choose_nodes",
+    "depth_points",
     "estimate_normals",
     "grown_region",
     "level_floor",
@@ -49,6 +52,7 @@ __all__ = [
     "only_support_left",
     "nodes_at",
     "read_cloud",
+    "read_depth_cloud",
     "remove_outliers",
     "scene_nodes",
     "support_plane",

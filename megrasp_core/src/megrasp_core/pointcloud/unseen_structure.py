@@ -38,6 +38,11 @@ ENOUGH = 0.15
 GAP = 0.001
 """Area (m2) of a patch without readings from which it is a look past the objects, not a dark or
 shiny spot on one."""
+NOTCH = 0.008
+"""Half the width (m) of notches in what was seen that are taken for dark or steep sides of
+objects, not for looks past them."""
+RIM = 0.004
+"""So wide (m) a rim of objects gives no readings: cameras lose the pixels at edges."""
 LOWEST = 0.5
 """Percentile of the heights that an unknown floor is taken from."""
 
@@ -234,7 +239,8 @@ class _ViewOfNothing:
     def __init__(self, surface: SurfaceCloud, view: View) -> None:
         self.sensor, self.region = view.sensor, surface.region
         self.image = DepthImage(view.points, view.sensor)
-        self._open = _open_patches(self.image)
+        self._pad = round((NOTCH + RIM) / self.image.pixel_size) + 2
+        self._open = _open_patches(self.image, self._pad)
 
     def empty(
         self, points: FloatArray, bin_floor: Plane | None, *, all_gaps: bool = True
@@ -246,11 +252,14 @@ class _ViewOfNothing:
             bin_floor: the region is a bin with this floor, into which it looks over the rim.
             all_gaps: also in small patches without readings.
         """
-        _, seen, _ = self.image.lookup(points)
-        empty = ~np.isfinite(seen)
-        if not all_gaps:
-            row, column, outside = self.image.pixels(points)
-            empty &= outside | self._open[row, column]
+        if all_gaps:
+            empty = ~np.isfinite(self.image.lookup(points)[1])
+        else:
+            row, column = np.moveaxis(self.image.pixels(points) + self._pad, 1, 0)
+            height, width = self._open.shape
+            inside = (row >= 0) & (column >= 0) & (row < height) & (column < width)
+            empty = ~inside
+            empty[inside] = self._open[row[inside], column[inside]]
         return empty & self._looks_at(points, bin_floor)
 
     def seen(self, points: FloatArray, bin_floor: Plane | None) -> BoolArray:
@@ -275,14 +284,24 @@ class _ViewOfNothing:
             return over_rim & (share >= 0.0) & (share <= 1.0)
 
 
-def _open_patches(image: DepthImage) -> BoolArray:
-    """Pixels without readings in patches that reach the border of the image, or are larger than
-    `GAP`.
+def _open_patches(image: DepthImage, pad: int) -> BoolArray:
+    """Pixels without readings, with `pad` more on every side, that look past the objects: in
+    patches that reach the border of the image or are larger than `GAP`, not in notches, and not
+    on the rim of what was seen.
     """
-    labels = np.zeros(image.seen.shape, dtype=np.int32)
-    count = int(ndimage.label(~np.isfinite(image.seen), output=labels))  # type: ignore[arg-type]
+    seen = np.pad(np.isfinite(image.seen), pad)
+    near = _pixels_from(seen) <= NOTCH / image.pixel_size
+    closed = seen | (_pixels_from(~near) > NOTCH / image.pixel_size)
+    closed = _pixels_from(closed) <= RIM / image.pixel_size
+    labels = np.zeros(closed.shape, dtype=np.int32)
+    count = int(ndimage.label(~closed, output=labels))  # type: ignore[arg-type]
     area = np.bincount(labels.ravel(), minlength=count + 1) * image.pixel_size**2
     open_patch = area > GAP
-    open_patch[np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])] = True
+    open_patch[labels[0, 0]] = True
     open_patch[0] = False
     return open_patch[labels]
+
+
+def _pixels_from(mask: BoolArray) -> FloatArray:
+    """Distance (H, W) of every pixel from the nearest one of a mask (H, W), in pixels."""
+    return np.asarray(ndimage.distance_transform_edt(~mask), dtype=np.float64)
