@@ -6,11 +6,11 @@ from setuptools import find_packages, setup
 
 NAME = "megrasp_ros"
 NODES = {
-    "grasp_server": "server.grasp_server",
-    "sim_cell": "cell.sim_cell",
-    "bin_clearing": "clearing.bin_clearing",
-    "tool_changer": "tool_changer",
-    "cloud_replay": "cloud_replay",
+    "grasp_server": "entry:grasp_server",
+    "sim_cell": "entry:sim_cell",
+    "bin_clearing": "clearing.bin_clearing:main",
+    "tool_changer": "entry:tool_changer",
+    "cloud_replay": "entry:cloud_replay",
 }
 
 setup(
@@ -29,6 +29,6 @@ setup(
     description="ROS 2 nodes of Megrasp.",
     license="Apache-2.0",
     entry_points={
-        "console_scripts": [f"{node} = {NAME}.{module}:main" for node, module in NODES.items()]
+        "console_scripts": [f"{node} = {NAME}.{module}" for node, module in NODES.items()]
     },
 )

@@ -10,7 +10,7 @@ from megrasp_core.errors import InvalidRequestError
 from megrasp_core.pointcloud import read_cloud
 
 from .declaring import declare_once
-from .node_main import run_node
+from .process import StopSignals, run_node
 from .sensor_messages import cloud_message
 
 
@@ -46,6 +46,6 @@ class CloudReplay(Node):
             self._publisher.publish(self._message)
 
 
-def main() -> None:
+def main(signals: StopSignals | None = None) -> None:
     """Entry point of the executable `cloud_replay`."""
-    run_node(CloudReplay)
+    run_node(CloudReplay, signals=signals)

@@ -8,6 +8,8 @@ further ROS package.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from megrasp_msgs.msg import OrientedBox as OrientedBoxMessage
@@ -32,9 +34,13 @@ _TYPES = {
 }
 
 
+FARTHEST = 1e6
+"""A coordinate beyond this (m) is no reading but a fault of the sensor."""
+
+
 def points_from_cloud(message: PointCloud2) -> FloatArray:
     """Return the finite points (N, 3) of a cloud, in its own frame (m), in the order of the
-    message; those that are exactly 0 0 0 are pixels without a reading and left out.
+    message; those that are exactly 0 0 0 or beyond `FARTHEST` are no readings and left out.
 
     Raises CloudError when the cloud is empty, has no numeric fields x, y and z, its data is
     shorter than its layout says, or no point is a reading.
@@ -45,13 +51,17 @@ def points_from_cloud(message: PointCloud2) -> FloatArray:
             f"the cloud is empty (width {message.width}, height {message.height}); expected at "
             "least one point. Check the camera and its topic."
         )
+    # The data first: numbers that fit it are no larger than memory.
+    data = _checked_data(message)
     records = np.ndarray(
         (message.height, message.width),
         dtype=_point_dtype(message),
-        buffer=_checked_data(message),
+        buffer=data,
         strides=(message.row_step if message.height > 1 else 0, message.point_step),
     )
     points = np.stack([records[axis].astype(np.float64) for axis in "xyz"], axis=-1).reshape(-1, 3)
+    with np.errstate(invalid="ignore"):
+        points[(np.abs(points) > FARTHEST).any(axis=1)] = np.nan
     seen = without_zeros(Cloud(points).finite())
     if not len(seen):
         raise CloudError(
@@ -63,10 +73,17 @@ def points_from_cloud(message: PointCloud2) -> FloatArray:
 
 def _point_dtype(message: PointCloud2) -> np.dtype:
     fields = {field.name: field for field in message.fields}
+    names = [field.name for field in message.fields]
+    twice = [axis for axis in "xyz" if names.count(axis) > 1]
+    if twice:
+        raise CloudError(
+            f"the cloud has several fields {', '.join(twice)}; expected one of each. The "
+            "publisher fills the message wrongly."
+        )
     missing = [axis for axis in "xyz" if axis not in fields]
     if missing:
         raise CloudError(
-            f"the cloud has the fields {sorted(fields) or 'none'} and lacks {', '.join(missing)}; "
+            f"the cloud has the fields {_named(names)} and lacks {', '.join(missing)}; "
             "expected x, y and z in metres. Remap `points` to a topic with a point cloud."
         )
     order = ">" if message.is_bigendian else "<"
@@ -91,9 +108,14 @@ def _point_dtype(message: PointCloud2) -> np.dtype:
             "names": list("xyz"),
             "formats": formats,
             "offsets": [fields[axis].offset for axis in "xyz"],
-            "itemsize": message.point_step,
         }
     )
+
+
+def _named(names: list[str]) -> str:
+    """Some names for a message; a client may send any number and length."""
+    shown = ", ".join(name[:40] for name in sorted(names)[:10])
+    return shown + (" and more" if len(names) > 10 else "") or "none"
 
 
 def _checked_data(message: PointCloud2) -> memoryview:
@@ -145,6 +167,28 @@ def matrix_from_numbers(numbers: ArrayLike, what: str) -> FloatArray:
         )
     pose[3:] /= length
     return matrix_from_pose7(pose)
+
+
+def matrices_from_poses(
+    poses: Sequence[Pose], what: str, check: Callable[[], None] | None = None
+) -> FloatArray:
+    """Return the rigid matrices (N, 4, 4) of poses; errors as those of `matrix_from_numbers`.
+
+    check: called again and again; may raise. Reading 100 000 poses takes a second.
+    """
+    rows = np.empty((len(poses), 7))
+    for i, pose in enumerate(poses):
+        if check is not None and i % 1000 == 0:
+            check()
+        p, q = pose.position, pose.orientation
+        rows[i] = p.x, p.y, p.z, q.x, q.y, q.z, q.w
+    length = np.linalg.norm(rows[:, 3:], axis=1)
+    with np.errstate(invalid="ignore"):
+        wrong = ~np.isfinite(rows).all(axis=1) | ~(np.abs(length - 1) <= 0.1)
+    if wrong.any():
+        first = int(np.argmax(wrong))
+        matrix_from_numbers(rows[first], f"{what}[{first}]")
+    return matrix_from_pose7(rows)
 
 
 def matrix_from_pose(pose: Pose, what: str) -> FloatArray:

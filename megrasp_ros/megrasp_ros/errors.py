@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import ClassVar
 
 from megrasp_msgs.msg import ErrorCode
@@ -19,6 +20,16 @@ class NotActiveError(MegraspError):
     """The lifecycle node is not in the state `active`."""
 
     code: ClassVar[int] = ErrorCode.NOT_ACTIVE
+
+
+class ConfigureError(MegraspError):
+    """The lifecycle node could not be configured; the code is that of the reason."""
+
+    def __init__(self, reason: Exception) -> None:
+        """Take what configuring failed with."""
+        code, text = describe(reason)
+        super().__init__(f"the node is not active, because configuring it failed: {text}")
+        self.reason_code = code
 
 
 class NoCloudError(MegraspError):
@@ -45,10 +56,29 @@ class ToolChangeError(MegraspError):
     code: ClassVar[int] = ErrorCode.TOOL_CHANGE_FAILED
 
 
+class NoChangerError(ToolChangeError):
+    """There is no tool changer to ask, so that the tool is as it was."""
+
+
 class ToolMismatchError(MegraspError):
     """The tool changer reports another tool than the active gripper."""
 
     code: ClassVar[int] = ErrorCode.TOOL_MISMATCH
+
+
+class UnknownNameError(MegraspError):
+    """No gripper of this name is registered."""
+
+    code: ClassVar[int] = ErrorCode.UNKNOWN_GRIPPER
+
+    def __init__(self, name: str, available: Iterable[str], *, allow_paths: bool) -> None:
+        """Take the name that was given and the registered ones."""
+        folder = " or the folder of a gripper.yaml" if allow_paths else ""
+        super().__init__(
+            f"unknown gripper {shortened(name, 80)!r}; expected one of "
+            f"{', '.join(sorted(available)) or '(none found)'}{folder}. Add folders with the "
+            "parameter gripper_paths."
+        )
 
 
 class BinEmptyError(MegraspError):
@@ -57,8 +87,27 @@ class BinEmptyError(MegraspError):
     code: ClassVar[int] = ErrorCode.BIN_EMPTY
 
 
+MOST_TEXT = 1000
+"""Longest text (characters) that is answered or logged: a client may send names of any length."""
+
+
 def describe(error: BaseException) -> tuple[int, str]:
     """Return the error code and the text for `error_msg` of any exception of a job."""
+    code, text = _describe(error)
+    return code, shortened(text, MOST_TEXT)
+
+
+def shortened(text: str, most: int) -> str:
+    """Return the text, the middle left out if it is longer than `most` characters."""
+    if len(text) <= most:
+        return text
+    tail = most // 4
+    return f"{text[: most - tail]} ({len(text) - most} characters left out) {text[-tail:]}"
+
+
+def _describe(error: BaseException) -> tuple[int, str]:
+    if isinstance(error, ConfigureError):
+        return error.reason_code, str(error)
     if isinstance(error, MegraspError):
         return int(error.code), str(error)
     # torch.OutOfMemoryError is a RuntimeError; by name, so that this module does not import torch

@@ -21,4 +21,12 @@ LATCHED = QoSProfile(
 )
 """State: a late subscriber gets the last message."""
 
-__all__ = ["LATCHED", "SENSOR"]
+CALLS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1000,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+"""Services: requests that arrive faster than they are taken must not vanish."""
+
+__all__ = ["CALLS", "LATCHED", "SENSOR"]

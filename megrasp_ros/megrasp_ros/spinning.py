@@ -1,38 +1,48 @@
-"""Spinning that outlives subscriptions and clients which other threads destroy."""
+"""Spinning that outlives whatever a callback or a client's message does to it."""
 
 from __future__ import annotations
 
 import time
+import traceback
 from collections import deque
+from collections.abc import Callable
 
-import rclpy
 from rclpy.exceptions import InvalidHandle
-from rclpy.executors import Executor
+from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.logging import get_logger
 
 MOST = 100
-"""Destroyed handles met within a second after which it is no coincidence any more."""
+"""Failures within a second after which going on is of no use."""
 
 _log = get_logger("megrasp_ros")
 
 
-def spin(executor: Executor) -> None:
-    """Spin until rclpy is shut down.
+def spin(executor: Executor, ended: Callable[[], bool] | None = None) -> None:
+    """Spin until rclpy is shut down, or until `ended` and the executor is.
 
-    rclpy lets an executor meet a handle that another thread has just destroyed: it guards itself
-    in most places, but not where it collects the events of subscriptions. What was collected is
-    then dropped and collected anew, which is all that is needed.
+    An exception of a callback, or of a message that cannot be read, ends rclpy's `spin`. Here it
+    is logged and spinning goes on. Callbacks should be guarded all the same (guard.py): a service
+    that failed has not answered.
 
-    Raises what `Executor.spin` raises; that error only when it comes again and again.
+    rclpy also lets an executor meet a handle that another thread has just destroyed: it guards
+    itself in most places, but not where it collects the events of subscriptions. What was
+    collected is then dropped and collected anew, which is all that is needed.
+
+    Raises the exception when it comes again and again, and ExternalShutdownException.
     """
     met: deque[float] = deque(maxlen=MOST)
     while True:
         try:
             return executor.spin()
-        except InvalidHandle as error:
-            if not rclpy.ok():
+        except ExternalShutdownException:
+            raise
+        except Exception as error:
+            if not executor.context.ok() or (ended is not None and ended()):
                 return None
             met.append(time.monotonic())
             if len(met) == MOST and met[-1] - met[0] < 1.0:
                 raise
-            _log.debug(f"spinning goes on after a destroyed handle: {error}")
+            if isinstance(error, InvalidHandle):
+                _log.debug(f"spinning goes on after a destroyed handle: {error}")
+            else:
+                _log.error(f"spinning goes on after\n{traceback.format_exc()}")

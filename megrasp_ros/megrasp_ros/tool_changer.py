@@ -21,7 +21,7 @@ from std_msgs.msg import String
 from megrasp_core.errors import InvalidRequestError
 
 from .declaring import declare_once
-from .node_main import run_node
+from .process import StopSignals, run_node
 from .qos import LATCHED
 from .waiting import wait_for_future
 
@@ -103,6 +103,6 @@ class ToolChanger(Node):
         self._mounted = answer.mounted
 
 
-def main() -> None:
+def main(signals: StopSignals | None = None) -> None:
     """Entry point of the executable `tool_changer`."""
-    run_node(ToolChanger)
+    run_node(ToolChanger, signals=signals)

@@ -1,7 +1,8 @@
-"""Waiting for rclpy futures from a thread that does not spin."""
+"""Waiting for rclpy futures in other threads, and for other threads in callbacks."""
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable
@@ -9,6 +10,7 @@ from typing import Any
 
 import rclpy
 from rclpy.context import Context
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.task import Future
@@ -18,11 +20,16 @@ SLICE = 0.2
 
 
 def wait_for_future(
-    future: Future, timeout: float, *, context: Context | None = None
+    future: Future,
+    timeout: float,
+    *,
+    context: Context | None = None,
+    check: Callable[[], None] | None = None,
 ) -> Any | None:
     """The future's result, or None after `timeout` seconds without one (it is then cancelled).
 
-    context: that of the node, None for rclpy's default one.
+    context: that of the node, None for rclpy's default one. check: called again and again
+    meanwhile; may raise.
     Somebody else must spin the node, and not from the calling thread. Raises what the future
     raised, and ExternalShutdownException when the process is told to end meanwhile.
     """
@@ -35,6 +42,8 @@ def wait_for_future(
         if time.monotonic() >= end:
             future.cancel()
             return None
+        if check is not None:
+            check()
     return future.result()
 
 
@@ -54,3 +63,22 @@ def send_in_executor(node: Node, send: Callable[[], Future], timeout: float) -> 
     if sent is None:
         return None
     return wait_for_future(sent, max(0.0, end - time.monotonic()), context=node.context)
+
+
+async def wake_when(call_at_end: Callable[[Callable[[], None]], None], node: Node) -> None:
+    """Wait in a coroutine of the node's executor for something that another thread does.
+
+    call_at_end: takes a function that is to be called at the end, from any thread.
+    """
+    done = Future()
+
+    def end() -> None:
+        done.set_result(None)
+        executor = node.executor
+        if executor is not None:
+            # The executor looks at what it waits for only when something happens.
+            with contextlib.suppress(InvalidHandle):
+                executor.wake()
+
+    call_at_end(end)
+    await done

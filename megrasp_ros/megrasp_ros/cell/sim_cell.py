@@ -38,7 +38,7 @@ from megrasp_ros.errors import (
     describe,
     is_expected,
 )
-from megrasp_ros.node_main import run_node
+from megrasp_ros.process import StopSignals, run_node
 from megrasp_ros.qos import LATCHED, SENSOR
 from megrasp_ros.sensor_messages import camera_info_message, cloud_message, depth_message
 
@@ -270,6 +270,6 @@ def _report(outcome: ExecutionResult) -> str:
     return f"{how}: removed {what}; {outcome.objects_left} objects left"
 
 
-def main() -> None:
+def main(signals: StopSignals | None = None) -> None:
     """Entry point of the executable `sim_cell`."""
-    run_node(SimCell)
+    run_node(SimCell, signals=signals)

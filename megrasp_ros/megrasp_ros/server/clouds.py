@@ -15,12 +15,16 @@ from rclpy.subscription import Subscription
 from rclpy.time import Time
 from sensor_msgs.msg import PointCloud2
 
+from megrasp_core.errors import CloudError
 from megrasp_ros.errors import NoCloudError, StaleCloudError
 from megrasp_ros.qos import SENSOR
 
 from .worker import Job
 
 TOPIC = "points"
+
+FUTURE = 1.0
+"""A stamp may lie this far (s) ahead of the node's clock."""
 
 
 class CloudSource:
@@ -72,6 +76,19 @@ class CloudSource:
             self._continuous = continuous
             self._update()
 
+    def check_given(self, cloud: PointCloud2, not_before: TimeMessage) -> None:
+        """Check a cloud that came with a request: its frame and its stamp, but not its age.
+
+        Raises CloudError, StaleCloudError.
+        """
+        _check_header(cloud)
+        wrong = self._before(cloud, not_before) or self._ahead(cloud)
+        if wrong:
+            raise StaleCloudError(
+                f"the cloud of the request cannot be used: {wrong}. Send a cloud of the scene as "
+                "it is now, and see to it that the clocks (use_sim_time) of both nodes agree."
+            )
+
     def wait(
         self, job: Job, *, timeout: float, max_age: float, not_before: TimeMessage
     ) -> PointCloud2:
@@ -80,9 +97,19 @@ class CloudSource:
         max_age: oldest stamp that is accepted (s), 0 for any. not_before: stamps must be later; 0
         for any.
 
-        Raises NoCloudError when none arrives, StaleCloudError when only older ones do, and what
-        `job.check` raises.
+        Raises NoCloudError when none arrives, StaleCloudError when only others do, CloudError for
+        one without a frame, and what `job.check` raises.
         """
+        publishers = self._node.count_publishers(self.topic)
+        job.waits_for = f"a cloud on {self.topic}, which has {publishers} publisher(s)"
+        try:
+            return self._wait(job, timeout, max_age, not_before)
+        finally:
+            job.waits_for = ""
+
+    def _wait(
+        self, job: Job, timeout: float, max_age: float, not_before: TimeMessage
+    ) -> PointCloud2:
         deadline = time.monotonic() + timeout
         newest: PointCloud2 | None = None
         with self._changed:
@@ -104,7 +131,8 @@ class CloudSource:
                 if fresh and data is not None:
                     message: PointCloud2 = deserialize_message(data, PointCloud2)
                     newest = message
-                    if not self._too_old(message, max_age, not_before):
+                    _check_header(message)
+                    if not self._unusable(message, max_age, not_before):
                         return message
                 if time.monotonic() >= deadline:
                     raise self._failure(newest, timeout, max_age, not_before)
@@ -132,20 +160,38 @@ class CloudSource:
         if self.on_cloud is not None:
             self.on_cloud()
 
-    def _age(self, cloud: PointCloud2) -> float:
-        now = self._node.get_clock().now().nanoseconds
-        return 1e-9 * (now - Time.from_msg(cloud.header.stamp).nanoseconds)
+    def _now(self) -> int:
+        """Return the node's time (ns); 0 with use_sim_time as long as no /clock has arrived."""
+        return self._node.get_clock().now().nanoseconds
 
-    def _too_old(self, cloud: PointCloud2, max_age: float, not_before: TimeMessage) -> str:
-        """Return why the cloud is too old, "" when it is not."""
-        stamp, limit = (
-            Time.from_msg(cloud.header.stamp).nanoseconds,
-            Time.from_msg(not_before).nanoseconds,
-        )
+    def _unusable(self, cloud: PointCloud2, max_age: float, not_before: TimeMessage) -> str:
+        """Return why a cloud of the topic is not used, "" when it is."""
+        early = self._before(cloud, not_before)
+        if early or max_age <= 0:
+            return early
+        now = self._now()
+        if now == 0:
+            return (
+                "its age is not known, because use_sim_time is true and no /clock has arrived "
+                "(start its publisher, or set cloud_max_age to 0)"
+            )
+        age = 1e-9 * (now - _stamp(cloud))
+        if age > max_age:
+            return f"its stamp is {age:.3f} s old and cloud_max_age is {max_age:g} s"
+        return self._ahead(cloud)
+
+    def _ahead(self, cloud: PointCloud2) -> str:
+        now = self._now()
+        ahead = 1e-9 * (_stamp(cloud) - now)
+        if now == 0 or ahead <= FUTURE:
+            return ""
+        return f"its stamp is {ahead:.3f} s ahead of this node's clock"
+
+    @staticmethod
+    def _before(cloud: PointCloud2, not_before: TimeMessage) -> str:
+        stamp, limit = _stamp(cloud), Time.from_msg(not_before).nanoseconds
         if limit and stamp <= limit:
             return f"its stamp is {1e-9 * (limit - stamp):.3f} s before not_before"
-        if max_age > 0 and self._age(cloud) > max_age:
-            return f"its stamp is {self._age(cloud):.3f} s old and cloud_max_age is {max_age:g} s"
         return ""
 
     def _failure(
@@ -153,8 +199,8 @@ class CloudSource:
     ) -> NoCloudError | StaleCloudError:
         if newest is not None:
             return StaleCloudError(
-                f"the newest cloud on {self.topic} after {timeout:g} s is too old: "
-                f"{self._too_old(newest, max_age, not_before)}. Check that the camera publishes, "
+                f"the newest cloud on {self.topic} after {timeout:.3g} s cannot be used: "
+                f"{self._unusable(newest, max_age, not_before)}. Check that the camera publishes, "
                 "that its clock (or use_sim_time) agrees with this node's, or raise cloud_max_age "
                 "or cloud_timeout."
             )
@@ -165,11 +211,28 @@ class CloudSource:
             for info in publishers
         )
         return NoCloudError(
-            f"no cloud arrived on {self.topic} within {timeout:g} s; it has {len(publishers)} "
+            f"no cloud arrived on {self.topic} within {timeout:.3g} s; it has {len(publishers)} "
             "publisher(s)"
             f"{': ' + described if described else ''}. Expected sensor_msgs/msg/PointCloud2. "
             "Start the camera, remap "
             "the topic (--ros-args -r points:=/camera/depth/color/points), or put the cloud into "
             "the request. "
             "For large clouds set FASTRTPS_DEFAULT_PROFILES_FILE to the shipped profile."
+        )
+
+
+def _stamp(cloud: PointCloud2) -> int:
+    return cloud.header.stamp.sec * 10**9 + cloud.header.stamp.nanosec
+
+
+def _check_header(cloud: PointCloud2) -> None:
+    if cloud.header.stamp.sec < 0:
+        raise CloudError(
+            f"the cloud's stamp is {cloud.header.stamp.sec} s; expected a time since 1970, or 0. "
+            "The publisher fills the message wrongly."
+        )
+    if not cloud.header.frame_id:
+        raise CloudError(
+            "the cloud's header.frame_id is empty; expected the frame of its points. Set the "
+            "frame in the camera's driver."
         )

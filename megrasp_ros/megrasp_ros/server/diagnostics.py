@@ -5,6 +5,7 @@ request cost.
 from __future__ import annotations
 
 import math
+import sys
 
 import psutil
 from builtin_interfaces.msg import Time
@@ -19,12 +20,14 @@ def diagnostics(
     state: str,
     error: str,
     gripper: str,
-    tool_id: str,
+    reported: str | None,
+    tool_version: int,
     model: str,
     device: str,
     clouds: int,
     cloud_rate: float,
     cloud_silence: float,
+    planning_frame: str,
     transform: str,
     job: str,
     last_outcome: str,
@@ -32,27 +35,30 @@ def diagnostics(
 ) -> DiagnosticArray:
     """Return the array with one status. Worst first: an error text, a tool mismatch, then OK."""
     level, message = DiagnosticStatus.OK, state
-    if tool_id and gripper and tool_id != gripper:
+    if gripper and reported is not None and reported != gripper:
         level, message = (
             DiagnosticStatus.WARN,
-            f"tool_id reports {tool_id}, the active gripper is {gripper}",
+            f"the changer reports {reported or 'no tool'}, the active gripper is {gripper}",
         )
     if error:
         level, message = DiagnosticStatus.ERROR, error
     values = {
         "state": state,
         "active gripper": gripper or "none",
-        "tool_id": tool_id or "not reported",
+        "tool_id": "not reported" if reported is None else reported or "no tool",
+        "tool changes": str(tool_version),
         "model": model or "none",
         "device": device or "none",
         "clouds received": str(clouds),
         "cloud rate (Hz)": f"{cloud_rate:.2f}",
         "last cloud (s ago)": "never" if math.isinf(cloud_silence) else f"{cloud_silence:.2f}",
-        "transform": transform,
+        "planning frame": planning_frame,
+        "transform": transform or "not asked for yet",
         "running job": job or "none",
         "last request": last_outcome or "none yet",
         "last latency (s)": f"{latency:.3f}",
         "memory (MiB)": f"{psutil.Process().memory_info().rss / 2**20:.0f}",
+        "GPU memory (MiB)": _gpu_memory(device),
     }
     status = DiagnosticStatus(
         level=level,
@@ -62,3 +68,12 @@ def diagnostics(
         values=[KeyValue(key=key, value=value) for key, value in values.items()],
     )
     return DiagnosticArray(header=Header(stamp=stamp), status=[status])
+
+
+def _gpu_memory(device: str) -> str:
+    """Return what torch holds on the device, and at most held, "none" on a CPU."""
+    torch = sys.modules.get("torch")
+    if torch is None or not device.startswith("cuda"):
+        return "none"
+    now, most = torch.cuda.memory_allocated(device), torch.cuda.max_memory_allocated(device)
+    return f"{now / 2**20:.0f}, at most {most / 2**20:.0f}"

@@ -1,17 +1,14 @@
-"""The synthesizer of the node and what is loaded into it. Everything that computes runs in the
-worker thread.
-"""
+"""The synthesizer of the node. Everything that computes runs in the worker thread."""
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from megrasp_core.errors import MegraspError, ModelError
-from megrasp_core.grippers import Gripper, list_grippers, load_gripper
+from megrasp_core.grippers import Gripper
 
 from .parameters import Settings
 
@@ -37,28 +34,25 @@ def resolve_device(device: str) -> str:
 
 
 class Engine:
-    """Loads the model and the grippers when the settings ask for others; remembers the active
-    gripper.
-    """
+    """Loads the model when the settings ask for another; holds the gripper it is set to."""
 
     def __init__(self, factory: Factory = load_synthesizer) -> None:
         self._factory = factory
         self._synthesizer: Any = None
         self._loaded: tuple[str, str, int] | None = None
         self._in_use: Gripper | None = None
-        self._cache: dict[tuple[str, tuple[str, ...]], Gripper] = {}
-        self._lock = threading.Lock()
-        self.active: Gripper | None = None
 
     @property
     def model_id(self) -> str:
         """Id of the loaded model, "" when none is."""
-        return "" if self._synthesizer is None else str(self._synthesizer.model.model_id)
+        synthesizer = self._synthesizer
+        return "" if synthesizer is None else str(synthesizer.model.model_id)
 
     @property
     def device(self) -> str:
         """Device of the loaded model, "" when none is."""
-        return "" if self._loaded is None else self._loaded[1]
+        loaded = self._loaded
+        return "" if loaded is None else loaded[1]
 
     def load_model(self, settings: Settings) -> None:
         """Load the model unless it is the loaded one. Raises ModelError."""
@@ -70,7 +64,7 @@ class Engine:
             self._synthesizer = self._factory(
                 settings.model or None, key[1], settings.threads or None
             )
-        except MegraspError:
+        except (MegraspError, MemoryError):
             raise
         except Exception as error:
             raise ModelError(
@@ -81,25 +75,8 @@ class Engine:
         self._loaded = key
 
     def unload(self) -> None:
-        """Drop the model; the active gripper stays."""
+        """Drop the model."""
         self._synthesizer = self._loaded = self._in_use = None
-
-    def available(self, settings: Settings) -> list[str]:
-        """Return the registered names."""
-        return list(list_grippers(settings.gripper_paths))
-
-    def gripper(self, name: str, settings: Settings) -> Gripper:
-        """Return a gripper, loaded once. Raises UnknownGripperError or DescriptionError."""
-        key = (name, settings.gripper_paths)
-        with self._lock:
-            if key not in self._cache:
-                self._cache[key] = load_gripper(name, settings.gripper_paths)
-            return self._cache[key]
-
-    def forget_grippers(self) -> None:
-        """Read descriptions from disk again when they are next needed."""
-        with self._lock:
-            self._cache.clear()
 
     def use(self, gripper: Gripper) -> None:
         """Encode the gripper in the synthesizer, unless it is the one in use."""
@@ -119,9 +96,10 @@ class Engine:
 
     def seen_in_training(self, gripper: Gripper) -> bool:
         """Return whether the loaded model was trained with this description."""
-        if self._synthesizer is None:
+        synthesizer = self._synthesizer
+        if synthesizer is None:
             return False
-        return gripper.hash in self._synthesizer.model.info.trained_grippers.values()
+        return gripper.hash in synthesizer.model.info.trained_grippers.values()
 
 
 def best_of(results: list[tuple[Gripper, Any]]) -> tuple[Gripper, Any]:

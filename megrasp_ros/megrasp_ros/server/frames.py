@@ -6,6 +6,7 @@ tf2_ros is only imported when it is needed, since it does not exist everywhere r
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any, Protocol
 
 import numpy as np
@@ -53,12 +54,21 @@ def tf2_buffer(node: Node) -> TransformBuffer:
 class FrameSource:
     """Answers planning_from_cloud for the header of a cloud."""
 
-    def __init__(
-        self, node: Node, buffer: TransformBuffer | None = None, timeout: float = 0.2
-    ) -> None:
+    def __init__(self, node: Node, buffer: TransformBuffer | None = None) -> None:
+        """`buffer` replaces tf2's."""
         self._node = node
         self._buffer = buffer
-        self._timeout = timeout
+        self.last = ""
+        """What became of the last transform, for diagnostics; "" before the first."""
+
+    def listen(self, settings: Settings) -> None:
+        """Fill the buffer from now on if tf2 will be asked: the first request finds transforms
+        that have been sent before it.
+        """
+        if self._buffer is None and settings.planning_frame and settings.extrinsics is None:
+            # Where tf2_ros is missing, the request that needs it says so.
+            with contextlib.suppress(TransformError):
+                self._buffer = tf2_buffer(self._node)
 
     def planning_from_cloud(self, header: Header, settings: Settings) -> tuple[str, FloatArray]:
         """Return the name of the planning frame and the (4, 4) transform into it, at the stamp of
@@ -74,24 +84,29 @@ class FrameSource:
                 "planning_frame: base_link"
             )
         if not target or target == source:
+            self.last = f"none needed, clouds come in {source!r}"
             return source, np.eye(4)
         if settings.extrinsics is not None:
+            self.last = f"{source} -> {target} by the parameter extrinsics"
             return target, settings.extrinsics
-        return target, self._from_tf2(target, source, header)
+        self.last = f"{source} -> {target} was not found by tf2"
+        matrix = self._from_tf2(target, source, header, settings.tf_timeout)
+        self.last = f"{source} -> {target} by tf2"
+        return target, matrix
 
-    def _from_tf2(self, target: str, source: str, header: Header) -> FloatArray:
+    def _from_tf2(self, target: str, source: str, header: Header, timeout: float) -> FloatArray:
         if self._buffer is None:
             self._buffer = tf2_buffer(self._node)
         try:
             found = self._buffer.lookup_transform(
-                target, source, Time.from_msg(header.stamp), Duration(seconds=self._timeout)
+                target, source, Time.from_msg(header.stamp), Duration(seconds=timeout)
             )
         except (
             Exception
         ) as error:  # tf2's exceptions share no base class that could be imported without tf2
             raise TransformError(
                 f"no transform from {source!r} to planning_frame {target!r} at the stamp of the "
-                f"cloud within {self._timeout} s ({error}). Start the publisher of the camera's "
+                f"cloud within {timeout:g} s ({error}). Start the publisher of the camera's "
                 "transform, or set the parameter extrinsics: [x, y, z, qx, qy, qz, qw] "
                 "(planning_from_cloud)."
             ) from error

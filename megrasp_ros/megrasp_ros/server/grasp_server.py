@@ -1,36 +1,34 @@
 """Node that turns point clouds into grasps: topics, services, action and parameters of
 docs/ros.md, "ROS 2".
 
-The node is thin. One worker thread computes (worker.py, engine.py, synthesis.py); the executor's
-threads only wait for it, so that cancelling, parameters and diagnostics stay responsive.
+The node is thin. One worker thread computes (worker.py, engine.py, synthesis.py); no callback
+waits in a thread of the executor, so that cancelling, parameters and diagnostics stay responsive.
+Which gripper is on is known to tool_state.py alone.
 """
 
 from __future__ import annotations
 
-import gc
 import logging
-import os
-import sys
 import threading
 import time
 from collections.abc import Callable
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
 from megrasp_msgs.msg import ErrorCode
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
-from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.logging import get_logger
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
+from rclpy.timer import Timer
 
-from megrasp_core.errors import MegraspError
-from megrasp_core.grippers import Gripper
-from megrasp_ros.errors import BinEmptyError, NotActiveError, describe
+from megrasp_core.errors import InvalidRequestError
+from megrasp_ros.errors import BinEmptyError, ConfigureError, NotActiveError, describe
+from megrasp_ros.lifecycle import GuardedLifecycleNode
 from megrasp_ros.logs import forward_logs
-from megrasp_ros.spinning import spin
+from megrasp_ros.process import StopSignals, run_node
+from megrasp_ros.waiting import wake_when
 
 from . import parameters
 from .clouds import CloudSource
@@ -39,79 +37,133 @@ from .engine import Engine, Factory, load_synthesizer
 from .frames import FrameSource, TransformBuffer
 from .grasp_messages import Outcome
 from .gripper_services import GripperServices
-from .outputs import Outputs
+from .gripper_shelf import GripperShelf
+from .live_check import FindModel, LiveCheck, find_model
+from .outputs import Outputs, Picture
+from .parameter_table import TABLE
 from .parameters import Settings
 from .requests import ParsedRequest
 from .synthesis import OnStep, SynthesisRunner
 from .synthesis_services import SynthesisServices
+from .tool_state import Claim, ToolState
 from .worker import Job, Worker
 
+STOP = 30.0
+"""Longest wait (s) for a job to stop when the node is deactivated."""
 
-class GraspServer(LifecycleNode):
-    """Lifecycle node `grasp_server`. `factory` makes the synthesizer, `buffer` replaces tf2."""
+ANSWERS = 3.0
+"""Longest wait (s) for answers to go out when the node ends."""
+
+
+class GraspServer(GuardedLifecycleNode):
+    """Lifecycle node `grasp_server`."""
 
     def __init__(
-        self, *, factory: Factory = load_synthesizer, buffer: TransformBuffer | None = None
+        self,
+        name: str = "grasp_server",
+        *,
+        factory: Factory = load_synthesizer,
+        find: FindModel | None = None,
+        buffer: TransformBuffer | None = None,
+        **options: Any,
     ) -> None:
-        super().__init__("grasp_server")
-        parameters.declare(self)
+        """Make the node; it does nothing before its first transition, see `start`.
+
+        Args:
+            name: of the node.
+            factory: makes the synthesizer.
+            find: raises when the model of a name does not exist; by default the core's, for the
+                core's synthesizer.
+            buffer: replaces tf2's.
+            options: those of rclpy's Node: namespace, context, parameter_overrides and so on.
+
+        Raises:
+            InvalidRequestError, ParameterException: a parameter's value is not usable.
+        """
+        super().__init__(name, **options)
+        if find is None:
+            find = find_model if factory is load_synthesizer else lambda model: None
+        shelf = GripperShelf()
+        self._live = LiveCheck(shelf, find)
+        parameters.declare(self, self._live)
         group = ReentrantCallbackGroup()
         self._is_active = False
         self._error = ""
+        self._not_configured: Exception | None = None
+        self._open = 0
+        self._open_lock = threading.Lock()
         self._engine = Engine(factory)
         self._worker = Worker()
         self._clouds = CloudSource(self)
-        self._synthesis = SynthesisRunner(self._engine, self._clouds, FrameSource(self, buffer))
-        self._outputs = Outputs(self)
+        self._frames = FrameSource(self, buffer)
+        self._synthesis = SynthesisRunner(self._engine, self._clouds, self._frames)
+        self._outputs = Outputs(self, lambda gripper: self._grippers.info(gripper))
+        self._state = ToolState(self._outputs)
         self._grippers = GripperServices(
-            self, self._engine, self._outputs, self._worker, self._run_job, group
+            self, self._engine, shelf, self._state, self._run_job, group
         )
         self._requests = SynthesisServices(
-            self, self._worker, self._synthesize, self._require_active, group
+            self, self._worker, self._synthesize, self._require_active, self._ended, group
         )
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 1)
+        # Timers of the machine's clock: with use_sim_time the node's own may stand still.
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(
-            1.0, self._publish_diagnostics, callback_group=MutuallyExclusiveCallbackGroup()
+            1.0, self._each_second, MutuallyExclusiveCallbackGroup(), clock=self._steady
         )
+        self._starting: Timer | None = None
         self.add_post_set_parameters_callback(self._after_parameters)
 
     # Lifecycle
 
     def start(self) -> None:
-        """Configure and activate, if the parameter `autostart` says so."""
-        if self.get_parameter("autostart").value:
-            self.trigger_configure()
-            self.trigger_activate()
+        """Configure and activate as soon as the node is spun, if the parameter `autostart` says
+        so. Services answer meanwhile that the node is not active.
+        """
+        if self.get_parameter("autostart").value and self._starting is None:
+            self._starting = self.create_timer(
+                0.01, self._autostart, MutuallyExclusiveCallbackGroup(), clock=self._steady
+            )
+
+    def _autostart(self) -> None:
+        timer, self._starting = self._starting, None
+        if timer is not None:
+            self.destroy_timer(timer)
+        if self.transition(Transition.TRANSITION_CONFIGURE):
+            self.transition(Transition.TRANSITION_ACTIVATE)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Load model and gripper. A failure is logged and answered to requests; the node keeps
-        serving.
+        """Load model and gripper. Fails, with the reason in the log, when one of them cannot be
+        loaded or a parameter does not fit what there is.
         """
         started = time.monotonic()
         settings = parameters.read(self)
         try:
-            self._worker.submit(Job("configure", lambda job: self._load(settings))).wait()
+            self._worker.submit(Job("configure", lambda job: self._load(settings, job))).wait()
         except Exception as error:
-            self._error = describe(error)[1]
-            self.get_logger().error(self._error)
-        else:
-            self.get_logger().info(
-                f"model {self._engine.model_id!r} on {self._engine.device}, gripper "
-                f"{self._engine.active.name if self._engine.active else None!r}, loaded in "
-                f"{time.monotonic() - started:.1f} s"
-            )
+            self._not_configured, self._error = error, describe(error)[1]
+            self.guard.tell("configuring failed", error)
+            return TransitionCallbackReturn.FAILURE
+        self._not_configured, self._error = None, ""
+        active = self._state.active
+        self.get_logger().info(
+            f"model {self._engine.model_id!r} on {self._engine.device}, gripper "
+            f"{active.name if active else None!r}, loaded in {time.monotonic() - started:.1f} s"
+        )
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start to answer requests."""
+        settings = parameters.read(self)
         result = super().on_activate(state)
         self._is_active = True
-        self._grippers.publish_active()
-        self._follow_points(parameters.read(self))
+        self._state.serve()
+        self._frames.listen(settings)
+        self._follow_points(settings)
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Cancel what runs and stop to answer requests."""
+        """Take back the poses, cancel what runs and stop to answer requests."""
         self._stop_serving()
         return super().on_deactivate(state)
 
@@ -121,50 +173,84 @@ class GraspServer(LifecycleNode):
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Cancel what runs."""
+        """Take back the poses, cancel what runs."""
         self._stop_serving()
         return super().on_shutdown(state)
 
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop to answer requests; the node can be configured again."""
+        self._stop_serving()
+        return super().on_error(state)
+
     def close(self) -> None:
-        """End the worker thread; the node is of no use afterwards."""
+        """Cancel what runs, wait until it is answered, end the worker thread. The node is of no
+        use afterwards.
+        """
         self._is_active = False
+        self._state.suspend()
         self._worker.close()
+        end = time.monotonic() + ANSWERS
+        while self._open and time.monotonic() < end:
+            time.sleep(0.01)
+
+    def destroy_node(self) -> None:
+        """Destroy the action server, too."""
+        self._requests.close()
+        super().destroy_node()
 
     def _stop_serving(self) -> None:
         self._is_active = False
+        # Before the publishers are switched off.
+        self._state.suspend()
         self._clouds.set_continuous(False)
-        job = self._worker.current
-        if job is not None:
-            job.cancel("the node is being deactivated; activate it and send the request again.")
-            job.done.wait(30.0)
+        self._worker.stop_all(
+            "the node is being deactivated; activate it and send the request again.", STOP
+        )
 
     # Jobs
 
-    def _load(self, settings: Settings) -> None:
-        # The gripper first: it can be listed and set even where the model is missing.
-        self._grippers.follow_parameter(settings)
+    def _load(self, settings: Settings, job: Job) -> None:
+        wrong = self._live.wrong(TABLE, {name: self.get_parameter(name).value for name in TABLE})
+        # Grippers and model give the reason in their own words, below.
+        if wrong and not wrong.startswith(("parameter gripper:", "parameter model:")):
+            raise InvalidRequestError(wrong)
         self._engine.load_model(settings)
-        active = self._engine.active
+        self._grippers.configure(settings, job)
+        active = self._state.active
         if active is not None:
             self._engine.use(active)
-        self._error = ""
 
     def _require_active(self) -> None:
-        if not self._is_active:
-            raise NotActiveError(
-                "the lifecycle node is not active; expected the state `active`. Configure and "
-                f"activate it: ros2 lifecycle set {self.get_fully_qualified_name()} configure, "
-                "then activate; or start it with autostart: true."
-            )
+        if self._is_active:
+            return
+        if self._not_configured is not None:
+            raise ConfigureError(self._not_configured)
+        raise NotActiveError(
+            "the lifecycle node is not active; expected the state `active`. Configure and "
+            f"activate it: ros2 lifecycle set {self.get_fully_qualified_name()} configure, "
+            "then activate; or start it with autostart: true, which takes a moment."
+        )
 
-    def _run_job(self, what: str, work: Callable[[Job], Any]) -> Any:
+    async def _run_job(self, what: str, work: Callable[[Job], Any]) -> Any:
         def checked(job: Job) -> Any:
             # Again: the node may have been deactivated before there was a job to cancel.
             self._require_active()
             return work(job)
 
         self._require_active()
-        return self._worker.submit(Job(what, checked)).wait()
+        job = self._worker.submit(Job(what, checked))
+        await self._ended(job)
+        return job.outcome()
+
+    async def _ended(self, job: Job) -> None:
+        """Wait for the end of a job; the thread of the executor does something else meanwhile."""
+        with self._open_lock:
+            self._open += 1
+        try:
+            await wake_when(job.on_done, self)
+        finally:
+            with self._open_lock:
+                self._open -= 1
 
     def _synthesize(
         self, job: Job, request: ParsedRequest, settings: Settings, on_step: OnStep | None
@@ -172,32 +258,50 @@ class GraspServer(LifecycleNode):
         """Work of a synthesis job: compute, then publish."""
         # Again: the node may have been deactivated before there was a job to cancel.
         self._require_active()
+        grippers, claim = self._grippers.chosen(request.gripper_name, settings, job)
+
+        def step(phase: str, index: int, total: int) -> None:
+            if claim is not None and len(grippers) == 1:
+                # Nobody waits for grasps of a gripper that has gone.
+                self._state.check(claim)
+            if on_step is not None:
+                on_step(phase, index, total)
+
         try:
-            grippers = self._grippers.chosen(request.gripper_name, settings)
             self._engine.load_model(settings)
             self._error = ""
-            outcome = self._synthesis.run(job, request, settings, grippers, on_step)
+            computed = self._synthesis.run(job, request, settings, grippers, step)
         except BinEmptyError:
-            self._outputs.nothing(settings.planning_frame)
+            if claim is not None:
+                self._state.clear(claim)
             raise
         except Exception as error:
             if describe(error)[0] in (ErrorCode.MODEL_NOT_LOADED, ErrorCode.INTERNAL):
                 self._error = describe(error)[1]
             raise
-        self._publish(outcome, grippers, settings)
-        return outcome
+        if claim is not None and computed.gripper.name == claim.gripper.name:
+            reference = self._grippers.gripper_from_reference(claim.gripper, settings)
+            picture = Picture(computed.outcome.grasps, claim.gripper, computed.points)
+            self._publish(claim, picture, reference)
+        return computed.outcome
 
-    def _publish(self, outcome: Outcome, grippers: list[Gripper], settings: Settings) -> None:
-        chosen = next((each for each in grippers if each.name == outcome.grasps.gripper), None)
-        reference = self._grippers.gripper_from_reference(chosen, settings) if chosen else None
-        self._outputs.grasps(outcome.grasps, chosen, reference)
-        self._outputs.scene(outcome.grasps.header, lambda: self._synthesis.last_points)
+    def _publish(self, claim: Claim, picture: Picture, reference: Any) -> None:
+        self._state.publish(claim, lambda: self._outputs.grasps(picture, reference))
 
     # Parameters and diagnostics
 
     def _after_parameters(self, changed: list[Parameter]) -> None:
-        if {"auto_synthesize", "points_subscription"} & {parameter.name for parameter in changed}:
-            self._follow_points(parameters.read(self))
+        names = {parameter.name for parameter in changed}
+        settings = parameters.read(self)
+        if "gripper" in names:
+            self._grippers.ask_for(settings.gripper)
+        if {"auto_synthesize", "points_subscription"} & names:
+            self._follow_points(settings)
+        if {"planning_frame", "extrinsics"} & names and self._is_active:
+            self._frames.listen(settings)
+        if self._not_configured is not None:
+            # Perhaps this has mended what was wrong.
+            self.start()
 
     def _follow_points(self, settings: Settings) -> None:
         automatic = settings.auto_synthesize == "on_cloud"
@@ -206,8 +310,12 @@ class GraspServer(LifecycleNode):
             self._is_active and (automatic or settings.points_subscription == "continuous")
         )
 
+    def _each_second(self) -> None:
+        self._outputs.show()
+        self._publish_diagnostics()
+
     def _publish_diagnostics(self) -> None:
-        settings, job, active = parameters.read(self), self._worker.current, self._engine.active
+        settings, job, active = parameters.read(self), self._worker.current, self._state.active
         frame = settings.planning_frame or "frame of the cloud"
         self._diagnostics.publish(
             diagnostics(
@@ -216,13 +324,15 @@ class GraspServer(LifecycleNode):
                 state="active" if self._is_active else "not active",
                 error=self._error,
                 gripper=active.name if active else "",
-                tool_id=self._grippers.tool_id,
+                reported=self._state.reported,
+                tool_version=self._state.version,
                 model=self._engine.model_id,
                 device=self._engine.device,
                 clouds=self._clouds.count,
                 cloud_rate=self._clouds.rate,
                 cloud_silence=self._clouds.silence,
-                transform=f"{frame}{' (extrinsics)' if settings.extrinsics is not None else ''}",
+                planning_frame=frame,
+                transform=self._frames.last,
                 job=job.what if job else "",
                 last_outcome=self._requests.last,
                 latency=self._requests.latency,
@@ -230,63 +340,16 @@ class GraspServer(LifecycleNode):
         )
 
 
-def main(factory: Factory = load_synthesizer) -> None:
+def main(factory: Factory = load_synthesizer, signals: StopSignals | None = None) -> None:
     """Entry point of the executable `grasp_server`."""
-    rclpy.init()
-    nodes: list[GraspServer] = []
-    code = _serve(factory, nodes)
-    _join_callbacks(3.0)
-    # After the callbacks, so that requests at work get their answer.
-    while nodes:
-        nodes.pop().destroy_node()
-    rclpy.try_shutdown()
-    # Fast DDS keeps its shared memory until the last object that knows the node is gone.
-    gc.collect()
-    # Freeing torch's modules takes seconds more on a busy machine, and ros2 launch loses patience
-    # with a node after five.
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)
 
-
-def _serve(factory: Factory, nodes: list[GraspServer]) -> int:
-    """Run the node, which is put into `nodes`, until a signal; return the exit code."""
-    executor = MultiThreadedExecutor(num_threads=6)
-    try:
+    def make() -> GraspServer:
         node = GraspServer(factory=factory)
-        nodes.append(node)
         forward_logs(logging.getLogger("megrasp_core"), node.get_logger())
         forward_logs(logging.getLogger("megrasp_ros"), node.get_logger())
-        node.start()
-        executor.add_node(node)
-        spin(executor)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        return 0
-    except (MegraspError, ParameterException) as error:
-        get_logger("grasp_server").fatal(str(error))
-        return 2
-    finally:
-        for node in nodes:
-            node.close()
-        executor.shutdown()
-    return 0
+        return node
 
-
-def _join_callbacks(timeout: float) -> None:
-    """Wait (s) for the executor's threads. Its own shutdown does not wait for them; they end once
-    it is gone and they are done with their callbacks.
-    """
-    end = time.monotonic() + timeout
-    while time.monotonic() < end:
-        gc.collect()
-        busy = [
-            thread
-            for thread in threading.enumerate()
-            if thread is not threading.main_thread() and not thread.daemon
-        ]
-        if not busy:
-            return
-        busy[0].join(0.05)
+    run_node(make, threads=6, signals=signals)
 
 
 if __name__ == "__main__":

@@ -1,37 +1,41 @@
-"""The gripper side of grasp_server: which gripper is active, and the services that ask and change
-that.
+"""The gripper side of grasp_server: the services that ask and change which gripper is on, and
+`tool_id`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 import numpy as np
 from megrasp_msgs.msg import ErrorCode, GripperInfo
-from megrasp_msgs.srv import ChangeTool, ListGrippers, ReloadGrippers, SetGripper
+from megrasp_msgs.srv import ListGrippers, ReloadGrippers, SetGripper
 from numpy.typing import NDArray
 from rclpy.callback_groups import CallbackGroup
-from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
-from megrasp_core.errors import MegraspError, UnknownGripperError
+from megrasp_core.errors import MegraspError
 from megrasp_core.grippers import Gripper
-from megrasp_ros.errors import ToolChangeError, ToolMismatchError, describe
-from megrasp_ros.qos import LATCHED
-from megrasp_ros.waiting import wait_for_future
+from megrasp_ros.errors import ToolMismatchError, UnknownNameError, describe, shortened
+from megrasp_ros.lifecycle import GuardedLifecycleNode
+from megrasp_ros.qos import CALLS, LATCHED
 
 from . import parameters
+from .changer import Changer
 from .engine import Engine
 from .grasp_messages import gripper_info
-from .outputs import Outputs
+from .gripper_shelf import GripperShelf
 from .parameters import Settings
-from .worker import Job, Worker
+from .tool_change import change_tool
+from .tool_state import Claim, ToolState
+from .worker import Job
 
-RunJob = Callable[[str, Callable[[Job], Any]], Any]
+RunJob = Callable[[str, Callable[[Job], Any]], Awaitable[Any]]
 """(what, work) -> result; runs the work in the worker thread of an active node."""
-CHANGE_TOOL_TIMEOUT = 60.0
+
+LISTING = 20.0
+"""Longest time (s) for loading one gripper of a list."""
 
 
 class GripperServices:
@@ -39,73 +43,66 @@ class GripperServices:
 
     def __init__(
         self,
-        node: LifecycleNode,
+        node: GuardedLifecycleNode,
         engine: Engine,
-        outputs: Outputs,
-        worker: Worker,
+        shelf: GripperShelf,
+        state: ToolState,
         run_job: RunJob,
         group: CallbackGroup,
     ) -> None:
-        self._node, self._engine, self._outputs, self._worker = node, engine, outputs, worker
+        self._node, self._engine, self._shelf, self._state = node, engine, shelf, state
         self._run_job = run_job
-        self._group = group
-        self._parameter = ""
-        self.tool_id = ""
+        self._changer = Changer(node)
+        self._wanted = ""
         node.create_subscription(
             String, "tool_id", self._on_tool_id, LATCHED, callback_group=group
         )
-        node.create_service(SetGripper, "set_gripper", self._set_gripper, callback_group=group)
-        node.create_service(
-            ListGrippers, "list_grippers", self._list_grippers, callback_group=group
-        )
-        node.create_service(
-            ReloadGrippers, "reload_grippers", self._reload_grippers, callback_group=group
-        )
+        services: dict[str, tuple[type, Callable[..., Any]]] = {
+            "set_gripper": (SetGripper, self._set_gripper),
+            "list_grippers": (ListGrippers, self._list_grippers),
+            "reload_grippers": (ReloadGrippers, self._reload_grippers),
+        }
+        for name, (kind, callback) in services.items():
+            node.create_service(kind, name, callback, callback_group=group, qos_profile=CALLS)
+
+    # What the other parts of the node ask
 
     def info(self, gripper: Gripper) -> GripperInfo:
         """Return the message of a gripper."""
         return gripper_info(gripper, seen_in_training=self._engine.seen_in_training(gripper))
 
-    def follow_parameter(self, settings: Settings) -> None:
-        """Make the gripper of the parameter `gripper` active if the parameter has changed or none
-        is active.
+    def ask_for(self, name: str) -> None:
+        """Note a new value of the parameter `gripper`; it takes effect with the next request."""
+        self._wanted = name if name != self._state.spelling else ""
 
-        Raises UnknownGripperError or DescriptionError.
+    def configure(self, settings: Settings, job: Job) -> None:
+        """Make the gripper of the parameter active if it is another one, or none is.
+
+        Raises UnknownNameError or DescriptionError.
         """
-        if self._engine.active is None or settings.gripper != self._parameter:
-            gripper = self._engine.gripper(settings.gripper, settings)
-            self._activate(gripper, settings.gripper)
+        if self._state.active is None or settings.gripper != self._state.spelling:
+            self._make_active(settings.gripper, settings, job)
 
-    def publish_active(self) -> None:
-        """Publish `active_gripper`, if there is one."""
-        if self._engine.active is not None:
-            self._outputs.active_gripper(self.info(self._engine.active), self._engine.active)
+    def chosen(
+        self, name: str, settings: Settings, job: Job
+    ) -> tuple[list[Gripper], Claim | None]:
+        """Return the grippers that a request is computed for, and the claim to publish for the
+        active one, if it is among them; the worker calls this.
 
-    def chosen(self, name: str, settings: Settings) -> list[Gripper]:
-        """Return the grippers a request with this gripper_name is computed for; the worker calls
-        this.
-
-        Raises UnknownGripperError, DescriptionError, and ToolMismatchError when the active gripper
-        is not the one that tool_id reports.
+        Raises UnknownNameError, DescriptionError, and ToolMismatchError when the active gripper is
+        asked for and another tool is reported.
         """
-        if name == "auto":
-            names = settings.rack
-            if names:
-                return [self._engine.gripper(each, settings) for each in names]
-        elif name:
-            gripper = self._engine.gripper(name, settings)
-            if self._engine.active is None or gripper.name != self._engine.active.name:
-                return [gripper]
-        self.follow_parameter(settings)
-        active = self._engine.active
-        assert active is not None, "follow_parameter activates a gripper or raises"
-        if self.tool_id and self.tool_id != active.name:
-            raise ToolMismatchError(
-                f"tool_id reports {self.tool_id!r}, but the active gripper is {active.name!r}; "
-                f"expected the same. Call set_gripper with {self.tool_id!r}, or mount "
-                f"{active.name!r}."
-            )
-        return [active]
+        self._follow(settings, job)
+        active = self._state.active
+        if name == "auto" and settings.rack:
+            rack = [self._load(each, settings, job, allow_paths=True) for each in settings.rack]
+            return rack, self._claim_among(rack)
+        if name and name != "auto":
+            gripper = self._load(name, settings, job, allow_paths=settings.allow_paths)
+            if active is None or gripper.name != active.name:
+                return [gripper], None
+        claim = self._state.claim()
+        return [claim.gripper], claim
 
     def gripper_from_reference(
         self, gripper: Gripper, settings: Settings
@@ -120,25 +117,51 @@ class GripperServices:
             return np.asarray(np.linalg.inv(flange), np.float64)
         return None
 
-    def _activate(self, gripper: Gripper, parameter: str) -> None:
+    def _claim_among(self, rack: list[Gripper]) -> Claim | None:
+        try:
+            claim = self._state.claim()
+        except ToolMismatchError:
+            # What is computed for another tool is answered all the same.
+            return None
+        return claim if any(each.name == claim.gripper.name for each in rack) else None
+
+    def _follow(self, settings: Settings, job: Job) -> None:
+        wanted = self._wanted
+        if wanted:
+            self._make_active(wanted, settings, job)
+            if self._wanted == wanted:
+                self._wanted = ""
+
+    def _make_active(self, name: str, settings: Settings, job: Job) -> None:
+        gripper = self._load(name, settings, job, allow_paths=True)
+        change_tool(self._state, gripper, name, job, prepare=self._prepare, mount=None)
+
+    def _load(self, name: str, settings: Settings, job: Job, *, allow_paths: bool) -> Gripper:
+        return self._shelf.load(
+            name, settings.gripper_paths, allow_paths=allow_paths, check=job.check
+        )
+
+    def _prepare(self, gripper: Gripper) -> None:
+        # Rendered and encoded: what can fail has failed before anything changes.
+        gripper.tokens()
         self._engine.use(gripper)
-        self._engine.active = gripper
-        self._parameter = parameter
-        self._outputs.nothing()
-        self.publish_active()
+        parameters.declare_flange(self._node, gripper.name)
+
+    # Callbacks
 
     def _on_tool_id(self, message: String) -> None:
-        self.tool_id = message.data
+        self._state.report(message.data)
 
-    def _set_gripper(
+    async def _set_gripper(
         self, request: SetGripper.Request, response: SetGripper.Response
     ) -> SetGripper.Response:
         settings = parameters.read(self._node)
-        response.available = self._engine.available(settings)
+        name = request.gripper_name
         try:
-            response.gripper = self._run_job(
-                f"set_gripper {request.gripper_name!r}",
-                lambda job: self._change(request, settings),
+            response.available = self._shelf.names(settings.gripper_paths)
+            response.gripper = await self._run_job(
+                f"set_gripper {shortened(name, 40)!r}",
+                lambda job: self._change(name, request.dry_run, settings, job),
             )
         except Exception as error:
             response.error_code, response.error_msg = describe(error)
@@ -149,90 +172,84 @@ class GripperServices:
         self._node.get_logger().info(f"gripper {response.gripper.name!r} {state}")
         return response
 
-    def _change(self, request: SetGripper.Request, settings: Settings) -> GripperInfo:
-        if not request.gripper_name:
-            raise UnknownGripperError("", self._engine.available(settings))
-        gripper = self._engine.gripper(request.gripper_name, settings)
-        # Renders the gripper: what can fail has failed before anything changes.
-        gripper.tokens()
-        if request.dry_run:
-            return self.info(gripper)
-        if settings.tool_changer:
-            self._change_tool(settings.tool_changer, gripper.name)
-        self._activate(gripper, request.gripper_name)
-        self._node.set_parameters([Parameter("gripper", value=request.gripper_name)])
-        return self.info(gripper)
-
-    def _change_tool(self, service: str, name: str) -> None:
-        client = self._node.create_client(ChangeTool, service, callback_group=self._group)
-        try:
-            if not client.wait_for_service(timeout_sec=10.0):
-                raise ToolChangeError(
-                    f"no service {service!r} after 10 s; expected the tool changer. Start it, or "
-                    "set the parameter tool_changer to the name of its ChangeTool service."
-                )
-            answer = wait_for_future(
-                client.call_async(ChangeTool.Request(gripper_name=name)), CHANGE_TOOL_TIMEOUT
+    def _change(self, name: str, dry_run: bool, settings: Settings, job: Job) -> GripperInfo:
+        if not name:
+            raise UnknownNameError(
+                "", self._shelf.names(settings.gripper_paths), allow_paths=settings.allow_paths
             )
-            if answer is None or not answer.success:
-                why = (
-                    f"no answer within {CHANGE_TOOL_TIMEOUT:g} s"
-                    if answer is None
-                    else answer.message
-                )
-                raise ToolChangeError(
-                    f"the tool changer did not mount {name!r}: {why}. Check the changer; the "
-                    "active gripper is unchanged here."
-                )
-            self.tool_id = answer.mounted or self.tool_id
-        finally:
-            self._node.destroy_client(client)
+        gripper = self._load(name, settings, job, allow_paths=settings.allow_paths)
+        if dry_run:
+            gripper.tokens()
+            return self.info(gripper)
+        changer = settings.tool_changer
+        change_tool(
+            self._state,
+            gripper,
+            name,
+            job,
+            prepare=self._prepare,
+            mount=(lambda tool, job: self._changer.mount(changer, tool, job)) if changer else None,
+        )
+        self._node.set_parameters([Parameter("gripper", value=name)])
+        return self.info(gripper)
 
     def _list_grippers(
         self, _: ListGrippers.Request, response: ListGrippers.Response
     ) -> ListGrippers.Response:
-        settings = parameters.read(self._node)
-        active = self._engine.active
+        paths = parameters.read(self._node).gripper_paths
+        active = self._state.active
         response.active = "" if active is None else active.name
-        for name in self._engine.available(settings):
+        try:
+            names = self._shelf.names(paths)
+        except MegraspError as error:
+            self._node.get_logger().warning(f"list_grippers: {error}")
+            return response
+        for name in names:
             try:
-                response.grippers.append(self.info(self._engine.gripper(name, settings)))
+                gripper = self._shelf.load(name, paths, seconds=LISTING)
+                response.grippers.append(self.info(gripper))
             except MegraspError as error:
                 self._node.get_logger().warning(f"list_grippers leaves out {name!r}: {error}")
         return response
 
-    def _reload_grippers(
+    async def _reload_grippers(
         self, _: ReloadGrippers.Request, response: ReloadGrippers.Response
     ) -> ReloadGrippers.Response:
         settings = parameters.read(self._node)
         try:
-            response.failed = self._run_job("reload_grippers", lambda job: self._reload(settings))
+            response.failed = await self._run_job(
+                "reload_grippers", lambda job: self._reload(settings, job)
+            )
+            response.available = self._shelf.names(settings.gripper_paths)
         except Exception as error:
             response.error_code, response.error_msg = describe(error)
-        else:
-            response.success = not response.failed
-            if response.failed:
-                response.error_code = ErrorCode.BAD_DESCRIPTION
-                response.error_msg = (
-                    f"{len(response.failed)} description(s) cannot be read; see `failed`."
-                )
-        response.available = self._engine.available(settings)
+            self._node.get_logger().warning(f"reload_grippers: {response.error_msg}")
+            return response
+        response.success = not response.failed
+        if response.failed:
+            response.error_code = ErrorCode.BAD_DESCRIPTION
+            response.error_msg = (
+                f"{len(response.failed)} description(s) cannot be read; see `failed`."
+            )
         return response
 
-    def _reload(self, settings: Settings) -> list[str]:
-        self._engine.forget_grippers()
+    def _reload(self, settings: Settings, job: Job) -> list[str]:
+        self._shelf.forget()
         failed = []
-        for name in self._engine.available(settings):
+        for name in self._shelf.names(settings.gripper_paths):
             try:
-                self._engine.gripper(name, settings)
+                self._load(name, settings, job, allow_paths=False)
+                parameters.declare_flange(self._node, name)
             except MegraspError as error:
-                failed.append(f"{name}: {error}")
-        active = self._engine.active
-        if active is not None and self._parameter:
+                job.check()
+                failed.append(f"{name}: {describe(error)[1]}")
+        active, spelling = self._state.active, self._state.spelling
+        if active is not None:
             try:
-                fresh = self._engine.gripper(self._parameter, settings)
+                fresh = self._load(spelling, settings, job, allow_paths=True)
             except MegraspError:
                 return failed
             if fresh.hash != active.hash:
-                self._activate(fresh, self._parameter)
+                self._prepare(fresh)
+                self._state.commit(fresh, spelling, mounted=self._state.reported)
         return failed

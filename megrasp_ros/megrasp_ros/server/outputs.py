@@ -4,18 +4,22 @@ subscribes.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseArray
 from megrasp_msgs.msg import GraspArray, GripperInfo
 from numpy.typing import NDArray
-from rclpy.lifecycle import LifecycleNode
+from rclpy.lifecycle import LifecyclePublisher
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
 from megrasp_core.grippers import Gripper
+from megrasp_ros.lifecycle import GuardedLifecycleNode
 from megrasp_ros.qos import LATCHED
 from megrasp_ros.sensor_messages import cloud_message
 
@@ -23,16 +27,34 @@ from .grasp_messages import pose_array
 from .markers import grasp_markers
 
 GRIPPER_FRAME = "gripper"
-"""Frame of `gripper_cloud`, to be tied to the robot by its owner."""
+"""Frame of `gripper_cloud`."""
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What markers and scene cloud show: grasps, the gripper they are for, points (N, 3) of the
+    scene in the planning frame.
+    """
+
+    grasps: GraspArray
+    gripper: Gripper
+    points: FloatArray
 
 
 class Outputs:
-    """The latched topics of grasp_server."""
+    """The latched topics of grasp_server.
 
-    def __init__(self, node: LifecycleNode) -> None:
-        self._node = node
+    `nothing`, `grasps` and `active` are called by ToolState, which sees to their order. Pictures
+    are made for whoever subscribes, late ones included: `show` is called now and then.
+    """
 
-        def latched(kind: type, name: str):
+    def __init__(self, node: GuardedLifecycleNode, info: Callable[[Gripper], GripperInfo]) -> None:
+        """`info` makes the message of a gripper."""
+        self._node, self._info = node, info
+
+        def latched(kind: type, name: str) -> Any:
             return node.create_lifecycle_publisher(kind, name, LATCHED)
 
         self._pregrasps = latched(PoseArray, "pregrasps")
@@ -42,38 +64,79 @@ class Outputs:
         self._markers = latched(MarkerArray, "grasp_markers")
         self._scene = latched(PointCloud2, "scene_cloud")
         self._gripper = latched(PointCloud2, "gripper_cloud")
+        self._lock = threading.Lock()
+        self._picture: Picture | None = None
+        self._on: Gripper | None = None
+        self._shown: set[str] = set()
 
-    def grasps(
-        self,
-        grasps: GraspArray,
-        gripper: Gripper | None,
-        gripper_from_reference: NDArray[np.float64] | None,
-    ) -> None:
-        """Publish `pregrasps`, `approach_poses`, `grasps` and the markers, in this order."""
-        self._pregrasps.publish(
-            pose_array(grasps, "pregrasp", gripper_from_reference=gripper_from_reference)
-        )
-        self._approach.publish(
-            pose_array(grasps, "approach", gripper_from_reference=gripper_from_reference)
-        )
-        self._grasps.publish(grasps)
-        if self._markers.get_subscription_count():
-            self._markers.publish(grasp_markers(grasps, gripper))
+    def grasps(self, picture: Picture, gripper_from_reference: FloatArray | None) -> None:
+        """Publish `pregrasps`, `approach_poses` and `grasps`, in this order, and the pictures."""
+        self._poses(picture.grasps, gripper_from_reference)
+        with self._lock:
+            self._picture = picture
+            self._shown -= {"markers", "scene"}
+        self.show()
 
-    def nothing(self, frame: str = "") -> None:
+    def nothing(self) -> None:
         """Publish empty poses and grasps, so that nobody executes the earlier ones."""
-        header = Header(stamp=self._node.get_clock().now().to_msg(), frame_id=frame)
-        self.grasps(GraspArray(header=header), None, None)
+        empty = GraspArray(header=Header(stamp=self._node.get_clock().now().to_msg()))
+        self._poses(empty, None)
+        with self._lock:
+            self._picture = None
+            if "markers" in self._shown:
+                self._markers.publish(grasp_markers(empty, None))
+            self._shown -= {"markers", "scene"}
 
-    def active_gripper(self, info: GripperInfo, gripper: Gripper) -> None:
+    def active(self, gripper: Gripper) -> None:
         """Publish the gripper that is active from now on."""
-        self._active.publish(info)
-        if self._gripper.get_subscription_count():
-            stamp = self._node.get_clock().now().to_msg()
-            points = gripper.clouds().open_points
-            self._gripper.publish(cloud_message(points, frame=GRIPPER_FRAME, stamp=stamp))
+        self._active.publish(self._info(gripper))
+        with self._lock:
+            self._on = gripper
+            self._shown.discard("gripper")
 
-    def scene(self, header: Header, points: Callable[[], NDArray[np.float64]]) -> None:
-        """Publish the points (N, 3) that a synthesis saw, in the planning frame."""
-        if self._scene.get_subscription_count():
-            self._scene.publish(cloud_message(points(), frame=header.frame_id, stamp=header.stamp))
+    def show(self) -> None:
+        """Publish the pictures that somebody waits for and that have not been made yet."""
+        with self._lock:
+            picture, on, shown = self._picture, self._on, set(self._shown)
+        if on is not None and self._wanted("gripper", self._gripper, shown):
+            stamp = self._node.get_clock().now().to_msg()
+            cloud = cloud_message(on.clouds().open_points, frame=GRIPPER_FRAME, stamp=stamp)
+            self._publish("gripper", self._gripper, cloud, lambda: self._on is on)
+        if picture is None:
+            return
+        header = picture.grasps.header
+
+        def still() -> bool:
+            return self._picture is picture
+
+        if self._wanted("markers", self._markers, shown):
+            markers = grasp_markers(picture.grasps, picture.gripper)
+            self._publish("markers", self._markers, markers, still)
+        if self._wanted("scene", self._scene, shown):
+            cloud = cloud_message(picture.points, frame=header.frame_id, stamp=header.stamp)
+            self._publish("scene", self._scene, cloud, still)
+
+    def _poses(self, grasps: GraspArray, gripper_from_reference: FloatArray | None) -> None:
+        for publisher, which in ((self._pregrasps, "pregrasp"), (self._approach, "approach")):
+            publisher.publish(
+                pose_array(grasps, which, gripper_from_reference=gripper_from_reference)
+            )
+        self._grasps.publish(grasps)
+
+    @staticmethod
+    def _wanted(name: str, publisher: LifecyclePublisher, shown: set[str]) -> bool:
+        return name not in shown and publisher.get_subscription_count() > 0
+
+    def _publish(
+        self,
+        name: str,
+        publisher: LifecyclePublisher,
+        message: MarkerArray | PointCloud2,
+        still: Callable[[], bool],
+    ) -> None:
+        """Publish a picture, unless what it shows has been replaced while it was made."""
+        with self._lock:
+            if still():
+                publisher.publish(message)
+                if publisher.is_activated:
+                    self._shown.add(name)

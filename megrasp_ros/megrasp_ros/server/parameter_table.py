@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +13,9 @@ from rcl_interfaces.msg import (
     IntegerRange,
     ParameterDescriptor,
 )
+from rclpy.exceptions import InvalidServiceNameException, InvalidTopicNameException
+from rclpy.expand_topic_name import expand_topic_name
+from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from megrasp_core.errors import InvalidRequestError
 from megrasp_core.synthesizer import MAX_DRAWN, MAX_GRASPS
@@ -19,6 +23,8 @@ from megrasp_ros.conversions import matrix_from_numbers
 
 FLANGE_PREFIX = "flange_from_gripper."
 IDENTITY = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+UNSET = [0.0] * 7
+"""A pose that was not given."""
 
 Check = Callable[[Any], str]
 
@@ -88,6 +94,23 @@ def _size(value: Sequence[float]) -> str:
     return f"{list(value)} was given; expected three edges over 0 (m), or all 0 for no region"
 
 
+def _device(value: str) -> str:
+    if re.fullmatch(r"auto|cpu|cuda(:\d{1,3})?", value):
+        return ""
+    return f"{value[:40]!r} was given; expected auto, cpu, cuda or cuda:N"
+
+
+def _service(value: str) -> str:
+    if not value:
+        return ""
+    try:
+        full = expand_topic_name(value, "node", "/")
+        validate_full_topic_name(full, is_service=True)
+    except (InvalidTopicNameException, InvalidServiceNameException) as error:
+        return f"{value[:80]!r} is no name of a service ({str(error).splitlines()[0]})"
+    return ""
+
+
 def _floor(value: Sequence[float]) -> str:
     if len(value) == 1 and math.isfinite(value[0]):
         return ""
@@ -109,17 +132,24 @@ TABLE: dict[str, Spec] = {
         "gripper.yaml",
     ),
     "gripper_paths": Spec([""], "folders with further grippers, searched before the shipped ones"),
+    "allow_paths": Spec(
+        False,
+        "gripper_name in a request may be the folder of a gripper.yaml; false: a registered name",
+    ),
     "rack": Spec([""], 'grippers that a request for "auto" chooses from; empty: the active one'),
     "model": Spec("", "model id or folder; empty: the default model"),
-    "device": Spec("auto", "auto | cpu | cuda | cuda:N; auto takes a GPU if there is one"),
+    "device": Spec(
+        "auto", "auto | cpu | cuda | cuda:N; auto takes a GPU if there is one", check=_device
+    ),
     "threads": Spec(0, "CPU threads of one synthesis; 0: torch's choice", 0, 256),
     "planning_frame": Spec("", "frame of all answers; empty: the frame of the cloud"),
     "extrinsics": Spec(
-        [0.0] * 7,
+        UNSET,
         "planning_from_cloud as x, y, z, qx, qy, qz, qw; all 0: unset, tf2 is asked when "
         "planning_frame differs",
         check=pose_check(unset_allowed=True),
     ),
+    "tf_timeout": Spec(0.2, "longest wait for a transform from tf2 (s)", 0.0, 60.0),
     "gravity": Spec(
         [0.0] * 3,
         "direction of gravity in the planning frame; all 0: unset, then -z, but an error in an "
@@ -179,6 +209,13 @@ TABLE: dict[str, Spec] = {
         check=_one_of("tool", "gravity"),
     ),
     "request_timeout": Spec(60.0, "longest time from request to answer (s)", 0.05, 3600.0),
+    "result_timeout": Spec(
+        10.0,
+        "how long the result of a finished goal is kept for its client (s)",
+        0.0,
+        3600.0,
+        read_only=True,
+    ),
     "auto_synthesize": Spec(
         "off",
         "off | on_cloud: publish grasps for new clouds without a call",
@@ -195,5 +232,6 @@ TABLE: dict[str, Spec] = {
         "",
         "ChangeTool service that set_gripper calls before it switches; empty: the tool is changed "
         "by others",
+        check=_service,
     ),
 }

@@ -5,6 +5,8 @@ Changes are checked when they are made and take effect with the next request.
 
 from __future__ import annotations
 
+import contextlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,12 +20,14 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from megrasp_core.errors import InvalidRequestError
+from megrasp_core.errors import InvalidRequestError, MegraspError
 from megrasp_core.grippers import Gripper
 from megrasp_core.pointcloud import OrientedBox, Plane
 from megrasp_ros.conversions import matrix_from_numbers
+from megrasp_ros.errors import MOST_TEXT, shortened
 
-from .parameter_table import FLANGE_PREFIX, IDENTITY, TABLE, pose_check
+from .live_check import LiveCheck
+from .parameter_table import FLANGE_PREFIX, TABLE, UNSET, pose_check
 
 
 @dataclass(frozen=True)
@@ -32,12 +36,14 @@ class Settings:
 
     gripper: str
     gripper_paths: tuple[str, ...]
+    allow_paths: bool
     rack: tuple[str, ...]
     model: str
     device: str
     threads: int
     planning_frame: str
     extrinsics: NDArray[np.float64] | None
+    tf_timeout: float
     gravity: NDArray[np.float64] | None
     sensor_origin: NDArray[np.float64]
     pose_reference: str
@@ -54,32 +60,45 @@ class Settings:
     approach_distance: float
     approach_direction: str
     request_timeout: float
+    result_timeout: float
     auto_synthesize: str
     auto_period: float
     points_subscription: str
     tool_changer: str
 
 
-def declare(node: Node) -> None:
-    """Declare the table's parameters and every `flange_from_gripper.<name>` that was given at the
-    start.
+def declare(node: Node, live: LiveCheck) -> None:
+    """Declare the table's parameters and `flange_from_gripper.<name>` of the registered grippers.
+
+    Raises InvalidRequestError when a value given at the start is not usable. What depends on disk
+    and machine (`live`) is asked for later changes only: at the start, configuring finds it out.
     """
     for name, spec in TABLE.items():
         node.declare_parameter(name, spec.default, spec.descriptor())
-    for name in sorted(getattr(node, "_parameter_overrides", {})):
-        if name.startswith(FLANGE_PREFIX):
-            declare_flange(node, name.removeprefix(FLANGE_PREFIX))
-    node.add_on_set_parameters_callback(check_parameters)
-    # The callback is not asked about the values given at the start.
-    check_all(node)
+    given = [node.get_parameter(name) for name in TABLE]
+    refused = _first_wrong(given)
+    if refused:
+        raise InvalidRequestError(refused)
+    # Of no weight for the rest: a folder that cannot be read is told by configuring.
+    with contextlib.suppress(MegraspError):
+        for name in live.shelf.names(_paths(node.get_parameter("gripper_paths").value)):
+            declare_flange(node, name)
+    node.add_on_set_parameters_callback(lambda changed: _checked(node, changed, live))
 
 
 def declare_flange(node: Node, gripper: str) -> None:
-    """Declare `flange_from_gripper.<gripper>` unless it is there."""
+    """Declare `flange_from_gripper.<gripper>` unless it is there. Raises InvalidRequestError."""
     name = FLANGE_PREFIX + gripper
-    if not node.has_parameter(name):
-        description = f"gripper frame of {gripper} in the robot's flange frame: x y z qx qy qz qw"
-        node.declare_parameter(name, list(IDENTITY), ParameterDescriptor(description=description))
+    if node.has_parameter(name):
+        return
+    description = (
+        f"gripper frame of {gripper} in the robot's flange frame: x y z qx qy qz qw; all 0: what "
+        "its description says, else the identity"
+    )
+    given = node.declare_parameter(name, list(UNSET), ParameterDescriptor(description=description))
+    wrong = pose_check(unset_allowed=True)(given.value)
+    if wrong:
+        raise InvalidRequestError(f"parameter {name}: {wrong}")
 
 
 def flange_from_gripper(node: Node, gripper: Gripper) -> NDArray[np.float64]:
@@ -87,34 +106,41 @@ def flange_from_gripper(node: Node, gripper: Gripper) -> NDArray[np.float64]:
     identity.
     """
     name = FLANGE_PREFIX + gripper.name
-    if node.has_parameter(name):
-        numbers: Any = node.get_parameter(name).value
+    declare_flange(node, gripper.name)
+    numbers: Any = node.get_parameter(name).value
+    if any(numbers):
         return matrix_from_numbers(numbers, name)
     described = gripper.description.flange_from_gripper
     return np.eye(4) if described is None else described.matrix()
 
 
-def check_all(node: Node) -> None:
-    """Raise InvalidRequestError when a parameter's value is not usable."""
-    names = [*TABLE, *(n for n in node._parameters if n.startswith(FLANGE_PREFIX))]
-    result = check_parameters([node.get_parameter(name) for name in names])
-    if not result.successful:
-        raise InvalidRequestError(result.reason)
-
-
-def check_parameters(parameters: list[Parameter]) -> SetParametersResult:
+def _checked(node: Node, changed: list[Parameter], live: LiveCheck) -> SetParametersResult:
     """Accept or refuse new values; ranges and types have been checked by rclpy."""
+    wrong = _first_wrong(changed)
+    if not wrong:
+        values = {name: node.get_parameter(name).value for name in TABLE}
+        values |= {parameter.name: parameter.value for parameter in changed}
+        wrong = live.wrong({parameter.name for parameter in changed}, values)
+    return SetParametersResult(successful=not wrong, reason=shortened(wrong, MOST_TEXT))
+
+
+def _first_wrong(parameters: Sequence[Parameter]) -> str:
     for parameter in parameters:
         spec = TABLE.get(parameter.name)
         check = spec.check if spec is not None else None
         if parameter.name.startswith(FLANGE_PREFIX):
-            check = pose_check(unset_allowed=False)
-        wrong = check(parameter.value) if check is not None else ""
+            check = pose_check(unset_allowed=True)
+        value: Any = parameter.value
+        if isinstance(value, float) and not math.isfinite(value):
+            return f"parameter {parameter.name}: {value} was given; expected a finite number"
+        wrong = check(value) if check is not None else ""
         if wrong:
-            return SetParametersResult(
-                successful=False, reason=f"parameter {parameter.name}: {wrong}"
-            )
-    return SetParametersResult(successful=True)
+            return f"parameter {parameter.name}: {wrong}"
+    return ""
+
+
+def _paths(value: Any) -> tuple[str, ...]:
+    return tuple(path for path in value if path)
 
 
 def read(node: Node) -> Settings:
@@ -136,8 +162,8 @@ def read(node: Node) -> Settings:
     return Settings(
         **{
             **values,
-            "gripper_paths": tuple(path for path in values["gripper_paths"] if path),
-            "rack": tuple(name for name in values["rack"] if name),
+            "gripper_paths": _paths(values["gripper_paths"]),
+            "rack": _paths(values["rack"]),
             "region": region,
             "floor": _floor(values["floor"]),
             "extrinsics": matrix_from_numbers(extrinsics, "extrinsics")

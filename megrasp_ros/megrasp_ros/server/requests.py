@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import secrets
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Pose
 from megrasp_msgs.action import GenerateGrasps
 from megrasp_msgs.srv import SynthesizeGrasps
 from numpy.typing import NDArray
@@ -15,7 +17,7 @@ from sensor_msgs.msg import PointCloud2
 
 from megrasp_core.errors import InvalidRequestError
 from megrasp_core.pointcloud import OrientedBox
-from megrasp_ros.conversions import box_from_message, matrix_from_pose
+from megrasp_ros.conversions import box_from_message, matrices_from_poses
 
 from .parameters import Settings
 
@@ -34,8 +36,15 @@ class ParsedRequest:
     gripper_name: str = ""
     cloud: PointCloud2 | None = None
     not_before: Time = field(default_factory=Time)
-    exclude: tuple[NDArray[np.float64], ...] = ()
+    exclude: Sequence[Pose] = ()
     exclude_radius: float = 0.02
+
+    def excluded(self, check: Callable[[], None]) -> NDArray[np.float64]:
+        """Return the TCP poses (E, 4, 4) to leave out; `check` is called meanwhile and may raise.
+
+        Raises InvalidRequestError, too.
+        """
+        return matrices_from_poses(self.exclude, "exclude", check)
 
 
 def checked_request(
@@ -43,6 +52,7 @@ def checked_request(
 ) -> ParsedRequest:
     """Return the request with the parameters filled in for what it leaves open.
 
+    Only what costs no time is looked at; clouds and excluded poses are the worker's business.
     Raises InvalidRequestError when a field is out of its range.
     """
     if not 1 <= message.num_grasps <= settings.max_num_grasps:
@@ -50,22 +60,25 @@ def checked_request(
             f"num_grasps is {message.num_grasps}; expected 1 to {settings.max_num_grasps}, the "
             "parameter max_num_grasps. Ask for fewer, or raise the parameter."
         )
-    _in_range("max_tilt", message.max_tilt, math.pi, "rad; 0: the parameter max_tilt")
+    # pi as float32 is a little over pi.
+    _in_range("max_tilt", message.max_tilt, math.pi + 1e-6, "rad; 0: the parameter max_tilt")
     _in_range("timeout", message.timeout, 3600.0, "s; 0: the parameter request_timeout")
     _in_range("exclude_radius", message.exclude_radius, 10.0, "m")
+    if message.not_before.sec < 0:
+        raise InvalidRequestError(
+            f"not_before.sec is {message.not_before.sec}; expected a time, or 0 for any cloud."
+        )
     region = box_from_message(message.region)
     return ParsedRequest(
         num_grasps=int(message.num_grasps),
         seed=int(message.seed) or random_seed(),
-        max_tilt=float(message.max_tilt) or settings.max_tilt,
+        max_tilt=min(float(message.max_tilt), math.pi) or settings.max_tilt,
         timeout=float(message.timeout) or settings.request_timeout,
         region=region if region is not None else settings.region,
         gripper_name=message.gripper_name,
         cloud=message.cloud if message.cloud.width else None,
         not_before=message.not_before,
-        exclude=tuple(
-            matrix_from_pose(pose, f"exclude[{i}]") for i, pose in enumerate(message.exclude)
-        ),
+        exclude=message.exclude,
         exclude_radius=float(message.exclude_radius),
     )
 

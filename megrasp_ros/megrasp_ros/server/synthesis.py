@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,8 +29,20 @@ from .worker import Job
 FloatArray = NDArray[np.float64]
 OnStep = Callable[[str, int, int], None]
 """(phase, step, total_steps)."""
+SEED_MASK = 2**63 - 1
 _PHASES = {"rank": "check"}
 """The core's phase names -> those of GenerateGrasps.action."""
+
+
+@dataclass(frozen=True, eq=False)
+class Computed:
+    """An outcome, the gripper it is for, and the points (N, 3) it was computed from, in the
+    planning frame.
+    """
+
+    outcome: Outcome
+    gripper: Gripper
+    points: FloatArray
 
 
 class SynthesisRunner:
@@ -41,7 +54,6 @@ class SynthesisRunner:
         self._engine = engine
         self._clouds = clouds
         self._frames = frames
-        self.last_points: FloatArray = np.empty((0, 3))
 
     def run(
         self,
@@ -50,7 +62,7 @@ class SynthesisRunner:
         settings: Settings,
         grippers: list[Gripper],
         on_step: OnStep | None = None,
-    ) -> Outcome:
+    ) -> Computed:
         """Return the outcome for the best of `grippers` (usually one).
 
         Errors of the request, the cloud and the model are raised; that no grasp was found is an
@@ -58,11 +70,14 @@ class SynthesisRunner:
         """
         step = on_step or (lambda phase, index, total: None)
         step("wait", 0, 0)
+        exclude = request.excluded(job.check)
         message = request.cloud
-        if message is None:
+        if message is not None:
+            self._clouds.check_given(message, request.not_before)
+        else:
             message = self._clouds.wait(
                 job,
-                timeout=min(settings.cloud_timeout, job.remaining),
+                timeout=settings.cloud_timeout,
                 max_age=settings.cloud_max_age,
                 not_before=request.not_before,
             )
@@ -72,13 +87,9 @@ class SynthesisRunner:
         cloud, header, gravity = self._perceive(message, request, settings)
         job.check()
         perceive = time.monotonic() - perceived
+        options = self._options(job, request, settings, gravity, step)
         results = [
-            (
-                gripper,
-                self._engine.synthesize(
-                    gripper, cloud, **self._options(job, request, settings, gravity, step)
-                ),
-            )
+            (gripper, self._engine.synthesize(gripper, cloud, exclude=exclude, **options))
             for gripper in grippers
         ]
         gripper, synthesis = best_of(results)
@@ -94,7 +105,7 @@ class SynthesisRunner:
                 synthesis.grasps,
                 header=header,
                 model_id=self._engine.model_id,
-                seed=synthesis.seed,
+                seed=request.seed,
             ),
             timing=timing_message(
                 synthesis.timing, wait=waited, perceive=perceive, total=job.elapsed
@@ -104,7 +115,7 @@ class SynthesisRunner:
         if not synthesis.grasps:
             outcome.error_code = ErrorCode.NO_GRASP_FOUND
             outcome.error_msg = no_grasp_text(synthesis.drawn, synthesis.rejected, gripper.name)
-        return outcome
+        return Computed(outcome, gripper, cloud.points)
 
     def _perceive(
         self, message: PointCloud2, request: ParsedRequest, settings: Settings
@@ -121,7 +132,6 @@ class SynthesisRunner:
         # Gravity is looked at in the planning frame, with everything else, before the synthesis.
         check_view(points, region=region, optical=is_optical(message.header.frame_id))
         cloud = Cloud(points, None, settings.sensor_origin).transformed(planning_from_cloud)
-        self.last_points = cloud.points
         return cloud, Header(stamp=message.header.stamp, frame_id=frame), gravity
 
     def _options(
@@ -146,9 +156,9 @@ class SynthesisRunner:
             "max_tilt": request.max_tilt if request.max_tilt < np.pi else None,
             "approach_distance": settings.approach_distance,
             "approach_direction": settings.approach_direction,
-            "exclude": request.exclude,
             "exclude_radius": request.exclude_radius,
-            "seed": request.seed,
+            # The core's seeds have one bit less than those of the message.
+            "seed": request.seed & SEED_MASK,
             "on_step": told,
             "cancelled": job.should_stop,
         }

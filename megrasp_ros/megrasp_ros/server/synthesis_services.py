@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
+from typing import Any
 
 from megrasp_msgs.action import GenerateGrasps
 from megrasp_msgs.msg import ErrorCode
@@ -11,10 +12,12 @@ from megrasp_msgs.srv import SynthesizeGrasps
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
-from rclpy.lifecycle import LifecycleNode
+from sensor_msgs.msg import PointCloud2
 
 from megrasp_core.errors import CancelledError, MegraspError
 from megrasp_ros.errors import describe
+from megrasp_ros.lifecycle import GuardedLifecycleNode
+from megrasp_ros.qos import CALLS
 
 from . import parameters
 from .grasp_messages import Outcome
@@ -23,13 +26,15 @@ from .requests import ParsedRequest, automatic_request, checked_request
 from .synthesis import OnStep
 from .worker import Job, Worker
 
-RESULT_TIMEOUT = 900
-"""Seconds that an action result is kept; the default differs between ROS distributions."""
-
 Synthesize = Callable[[Job, ParsedRequest, Settings, OnStep | None], Outcome]
 """Computes and publishes; runs in the worker thread."""
 
+Ended = Callable[[Job], Awaitable[None]]
+"""Waits for the end of a job without holding a thread of the executor."""
+
 _CANCELLED = "the client cancelled the goal; send it again if it is needed."
+_CANCEL_WAIT = 2.0
+"""A cancelled goal becomes one just after its work was told to stop; wait for that so long (s)."""
 
 
 class SynthesisServices:
@@ -40,19 +45,24 @@ class SynthesisServices:
 
     def __init__(
         self,
-        node: LifecycleNode,
+        node: GuardedLifecycleNode,
         worker: Worker,
         synthesize: Synthesize,
         require_active: Callable[[], None],
+        ended: Ended,
         group: CallbackGroup,
     ) -> None:
-        self._node, self._worker = node, worker
+        self._node, self._worker, self._ended = node, worker, ended
         self._synthesize, self._require_active = synthesize, require_active
         self._automatic_at = float("-inf")
-        self.last = ""
-        self.latency = 0.0
+        self._goals: dict[bytes, Job] = {}
+        self.last, self.latency = "", 0.0
         node.create_service(
-            SynthesizeGrasps, "synthesize_grasps", self._on_request, callback_group=group
+            SynthesizeGrasps,
+            "synthesize_grasps",
+            self._on_request,
+            callback_group=group,
+            qos_profile=CALLS,
         )
         self._action = ActionServer(
             node,
@@ -61,9 +71,19 @@ class SynthesisServices:
             self._on_goal,
             callback_group=group,
             goal_callback=lambda _: GoalResponse.ACCEPT,
-            cancel_callback=lambda _: CancelResponse.ACCEPT,
-            result_timeout=RESULT_TIMEOUT,
+            cancel_callback=node.guard.plain(
+                "cancelling a goal", self._on_cancel, CancelResponse.REJECT
+            ),
+            goal_service_qos_profile=CALLS,
+            result_service_qos_profile=CALLS,
+            cancel_service_qos_profile=CALLS,
+            # rclpy takes whole seconds in some versions.
+            result_timeout=max(1, round(parameters.read(node).result_timeout)),
         )
+
+    def close(self) -> None:
+        """Destroy the action server, which rclpy's destroy_node does not."""
+        self._action.destroy()
 
     def on_cloud(self) -> None:
         """Start an automatic synthesis, unless one was started too recently or a job runs."""
@@ -90,53 +110,91 @@ class SynthesisServices:
             # The same, a moment earlier.
             return
 
-    def _on_request(
+    async def _on_request(
         self, message: SynthesizeGrasps.Request, response: SynthesizeGrasps.Response
     ) -> SynthesizeGrasps.Response:
         try:
-            self._require_active()
-            settings = parameters.read(self._node)
-            request = checked_request(message, settings)
-
-            def work(job: Job) -> Outcome:
-                return self._synthesize(job, request, settings, None)
-
-            job = self._worker.submit(Job("synthesize_grasps", work, request.timeout))
+            job = self._submit("synthesize_grasps", message, lambda job: None)
         except MegraspError as error:
             return self._refused("synthesize_grasps", error).fill(response)
+        await self._ended(job)
         return self._outcome(job).fill(response)
 
-    def _on_goal(self, handle: ServerGoalHandle) -> GenerateGrasps.Result:
-        result = GenerateGrasps.Result()
+    async def _on_goal(self, handle: ServerGoalHandle) -> GenerateGrasps.Result:
+        result, goal = GenerateGrasps.Result(), bytes(handle.goal_id.uuid)
         try:
-            self._require_active()
-            settings = parameters.read(self._node)
-            request = checked_request(handle.request, settings)
-
-            def work(job: Job) -> Outcome:
-                return self._synthesize(job, request, settings, _feedback(handle, job))
-
-            job = Job("generate_grasps", work, request.timeout)
-            self._worker.submit(job, preempt=handle.request.preempt)
-        except MegraspError as error:
-            handle.abort()
-            return self._refused("generate_grasps", error).fill(result)
-        while not job.done.wait(0.01):
+            job = self._submit(
+                "generate_grasps",
+                handle.request,
+                lambda job: _feedback(handle, job),
+                preempt=handle.request.preempt,
+                note=lambda job: self._goals.__setitem__(goal, job),
+            )
             if handle.is_cancel_requested:
                 job.cancel(_CANCELLED)
-        outcome = self._outcome(job)
-        if outcome.error_code == ErrorCode.NONE:
-            handle.succeed()
-        elif outcome.error_code == ErrorCode.CANCELLED and handle.is_cancel_requested:
-            handle.canceled()
-        else:
-            handle.abort()
+            await self._ended(job)
+            outcome = self._outcome(job)
+        except MegraspError as error:
+            outcome = self._refused("generate_grasps", error)
+        except Exception as error:
+            self._node.guard.tell("generate_grasps", error)
+            outcome = Outcome(*describe(error))
+        self._goals.pop(goal, None)
+        # rclpy keeps the goal as long as its result.
+        handle.request.cloud = PointCloud2()
+        handle.request.exclude = []
+        self._finish(handle, outcome)
         return outcome.fill(result)
 
+    def _on_cancel(self, handle: ServerGoalHandle) -> CancelResponse:
+        job = self._goals.get(bytes(handle.goal_id.uuid))
+        if job is not None:
+            job.cancel(_CANCELLED)
+        return CancelResponse.ACCEPT
+
+    def _submit(
+        self,
+        what: str,
+        message: Any,
+        steps: Callable[[Job], OnStep | None],
+        *,
+        preempt: bool = False,
+        note: Callable[[Job], None] = lambda job: None,
+    ) -> Job:
+        """Check a request and start its job; `note` gets the job before that."""
+        # `timeout` counts everything from here on.
+        started = time.monotonic()
+        self._require_active()
+        settings = parameters.read(self._node)
+        request = checked_request(message, settings)
+
+        def work(job: Job) -> Outcome:
+            return self._synthesize(job, request, settings, steps(job))
+
+        job = Job(what, work, request.timeout, preemptible=True, started=started)
+        note(job)
+        return self._worker.submit(job, preempt=preempt)
+
+    @staticmethod
+    def _finish(handle: ServerGoalHandle, outcome: Outcome) -> None:
+        """Bring a goal into its last state."""
+        if outcome.error_code == ErrorCode.NONE:
+            handle.succeed()
+            return
+        if outcome.error_code == ErrorCode.CANCELLED and outcome.error_msg == _CANCELLED:
+            # The client's wish arrives here before rclpy has noted it.
+            end = time.monotonic() + _CANCEL_WAIT
+            while not handle.is_cancel_requested and time.monotonic() < end:
+                time.sleep(0.002)
+            if handle.is_cancel_requested:
+                handle.canceled()
+                return
+        handle.abort()
+
     def _outcome(self, job: Job) -> Outcome:
-        """Wait for a synthesis job; its errors become outcomes."""
+        """Return the outcome of a synthesis job that has ended; its errors become outcomes."""
         try:
-            outcome = job.wait()
+            outcome = job.outcome()
         except Exception as error:
             outcome = Outcome(*describe(error))
             outcome.timing.total = job.elapsed
@@ -165,8 +223,6 @@ class SynthesisServices:
 
 def _feedback(handle: ServerGoalHandle, job: Job) -> OnStep:
     def publish(phase: str, step: int, total: int) -> None:
-        if handle.is_cancel_requested:
-            job.cancel(_CANCELLED)
         if handle.is_active:
             handle.publish_feedback(
                 GenerateGrasps.Feedback(

@@ -46,7 +46,10 @@ class StubBuffer:
 
 def settings(**values):
     return SimpleNamespace(
-        **({"planning_frame": "", "extrinsics": None, "gravity": None} | values)
+        **(
+            {"planning_frame": "", "extrinsics": None, "gravity": None, "tf_timeout": 0.2}
+            | values
+        )
     )
 
 

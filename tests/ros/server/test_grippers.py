@@ -79,7 +79,11 @@ def test_an_unreadable_description_is_error_201(server: Client, tmp_path) -> Non
     folder = tmp_path / "claw"
     folder.mkdir()
     (folder / "gripper.yaml").write_text("format: 1\nname: claw\nteeth: 3\n")
+    refused = server.set_gripper(str(folder))
+    assert (refused.success, refused.error_code) == (False, ErrorCode.UNKNOWN_GRIPPER)
+    assert not server.parameters(allow_paths=True)
     answer = server.set_gripper(str(folder))
+    assert not server.parameters(allow_paths=False)
     assert (answer.success, answer.error_code) == (False, ErrorCode.BAD_DESCRIPTION)
     assert "teeth" in answer.error_msg or "display_name" in answer.error_msg
     assert not server.parameters(gripper_paths=[str(tmp_path)])

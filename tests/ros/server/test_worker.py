@@ -60,7 +60,7 @@ def test_a_second_job_is_refused_while_one_runs(worker: Worker) -> None:
 
 def test_a_preempting_job_takes_over(worker: Worker) -> None:
     started = threading.Event()
-    first = worker.submit(Job("first", stepping(started)))
+    first = worker.submit(Job("first", stepping(started), preemptible=True))
     assert started.wait(5)
     assert worker.submit(Job("second", lambda job: 2), preempt=True).wait() == 2
     with pytest.raises(CancelledError, match="took over"):

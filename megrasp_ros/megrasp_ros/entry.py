@@ -1,0 +1,32 @@
+"""Entry points of the executables: signals are heard before the long imports begin."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from .process import StopSignals
+
+
+def _run(module: str) -> None:
+    signals = StopSignals()
+    import_module(f"megrasp_ros.{module}").main(signals=signals)
+
+
+def grasp_server() -> None:
+    """Run the executable `grasp_server`."""
+    _run("server.grasp_server")
+
+
+def sim_cell() -> None:
+    """Run the executable `sim_cell`."""
+    _run("cell.sim_cell")
+
+
+def tool_changer() -> None:
+    """Run the executable `tool_changer`."""
+    _run("tool_changer")
+
+
+def cloud_replay() -> None:
+    """Run the executable `cloud_replay`."""
+    _run("cloud_replay")

@@ -1,0 +1,152 @@
+"""The one way in which this package's nodes start, spin and end.
+
+Signals are heard from the first line on, imports included (entry.py), and as often as they come.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from types import FrameType
+from typing import NoReturn, Protocol
+
+INTERRUPTED = 130
+PATIENCE = 5.0
+"""A signal so long (s) after the first one ends the process at once."""
+
+
+class StopSignals:
+    """SIGINT and SIGTERM as an event.
+
+    Before `orderly` the process has nothing to put in order and a signal ends it.
+    """
+
+    def __init__(self) -> None:
+        """Take the signals over; only the main thread may."""
+        self.event = threading.Event()
+        self.orderly = False
+        self._first = 0.0
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        code = INTERRUPTED if number == signal.SIGINT else 0
+        now = time.monotonic()
+        if not self.orderly:
+            os._exit(code)
+        if not self.event.is_set():
+            self._first = now
+            self.event.set()
+        elif now - self._first > PATIENCE:
+            os._exit(INTERRUPTED)
+
+
+class Runnable(Protocol):
+    """What is used of a node."""
+
+    def destroy_node(self) -> None:
+        """Destroy the node."""
+
+
+def run_node(
+    make: Callable[[], Runnable], *, threads: int = 4, signals: StopSignals | None = None
+) -> NoReturn:
+    """Make a node, spin it until SIGINT, SIGTERM or the end of rclpy's context, and exit with 0.
+
+    Where the node has methods `start` and `close`, they are called before it is spun and, with it
+    still spinning, at the end. A node that cannot be made because of what it was given (a
+    MegraspError or a parameter out of range) ends the process with exit code 2 and one line that
+    says why; one that cannot be spun any more, with 1.
+    """
+    signals = signals or StopSignals()
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
+    signals.orderly = True
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    nodes: list[Runnable] = []
+    code = _serve(make, nodes, threads, signals)
+    while nodes:
+        nodes.pop().destroy_node()
+    rclpy.try_shutdown()
+    # Fast DDS keeps its shared memory until the last object that knows the node is gone.
+    gc.collect()
+    # Freeing torch's modules takes seconds more on a busy machine, and ros2 launch loses patience
+    # with a node after five.
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+def _serve(
+    make: Callable[[], Runnable], nodes: list[Runnable], threads: int, signals: StopSignals
+) -> int:
+    from rclpy.exceptions import ParameterException
+    from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+    from rclpy.logging import get_logger
+
+    from megrasp_core.errors import MegraspError
+
+    from .spinning import spin
+
+    executor = MultiThreadedExecutor(num_threads=threads)
+    failed: list[Exception] = []
+
+    def run() -> None:
+        try:
+            spin(executor, signals.event.is_set)
+        except ExternalShutdownException:
+            pass
+        except Exception as error:
+            failed.append(error)
+
+    # Not the main thread: it could not hear signals while it waits for messages.
+    spinner = threading.Thread(target=run, name="spin", daemon=True)
+    try:
+        node = make()
+        nodes.append(node)
+        executor.add_node(node)  # type: ignore[arg-type]
+        getattr(node, "start", _nothing)()
+        spinner.start()
+        while spinner.is_alive() and not signals.event.wait(0.2):
+            pass
+    except (MegraspError, ParameterException) as error:
+        get_logger("megrasp_ros").fatal(str(error))
+        return 2
+    finally:
+        for node in nodes:
+            getattr(node, "close", _nothing)()
+        executor.shutdown()
+        if spinner.is_alive():
+            spinner.join(2.0)
+        _join_callbacks(3.0)
+    if failed:
+        get_logger("megrasp_ros").fatal(f"spinning has failed too often: {failed[0]}")
+        return 1
+    return 0
+
+
+def _join_callbacks(timeout: float) -> None:
+    """Wait (s) for the executor's threads. Its own shutdown does not wait for them; they end once
+    it is gone and they are done with their callbacks.
+    """
+    end = time.monotonic() + timeout
+    while time.monotonic() < end:
+        gc.collect()
+        busy = [
+            thread
+            for thread in threading.enumerate()
+            if thread is not threading.main_thread() and not thread.daemon
+        ]
+        if not busy:
+            return
+        busy[0].join(0.05)
+
+
+def _nothing() -> None:
+    """Stand in for what a node does not have."""
