@@ -19,6 +19,7 @@ from megrasp_core.errors import MegraspError
 from megrasp_core.grippers import Gripper
 from megrasp_ros.errors import ToolMismatchError, UnknownNameError, describe, shortened
 from megrasp_ros.lifecycle import GuardedLifecycleNode
+from megrasp_ros.pacing import paced
 from megrasp_ros.qos import CALLS, LATCHED
 
 from . import parameters
@@ -63,7 +64,9 @@ class GripperServices:
             "reload_grippers": (ReloadGrippers, self._reload_grippers),
         }
         for name, (kind, callback) in services.items():
-            node.create_service(kind, name, callback, callback_group=group, qos_profile=CALLS)
+            node.create_service(
+                kind, name, paced(callback, node), callback_group=group, qos_profile=CALLS
+            )
 
     # What the other parts of the node ask
 

@@ -17,7 +17,9 @@ from sensor_msgs.msg import PointCloud2
 from megrasp_core.errors import CancelledError, MegraspError
 from megrasp_ros.errors import describe
 from megrasp_ros.lifecycle import GuardedLifecycleNode
+from megrasp_ros.pacing import Gate, paced
 from megrasp_ros.qos import CALLS
+from megrasp_ros.waiting import wake_when
 
 from . import parameters
 from .grasp_messages import Outcome
@@ -31,6 +33,9 @@ Synthesize = Callable[[Job, ParsedRequest, Settings, OnStep | None], Outcome]
 
 Ended = Callable[[Job], Awaitable[None]]
 """Waits for the end of a job without holding a thread of the executor."""
+
+GOAL_GAP = 0.04
+"""Gap (s) of the gates for goals: at each step their clients take the status of all."""
 
 _CANCELLED = "the client cancelled the goal; send it again if it is needed."
 _CANCEL_WAIT = 2.0
@@ -56,11 +61,12 @@ class SynthesisServices:
         self._synthesize, self._require_active = synthesize, require_active
         self._automatic_at = float("-inf")
         self._goals: dict[bytes, Job] = {}
+        self._accepted, self._results = Gate(gap=GOAL_GAP), Gate(gap=GOAL_GAP, quiet=0.0)
         self.last, self.latency = "", 0.0
         node.create_service(
             SynthesizeGrasps,
             "synthesize_grasps",
-            self._on_request,
+            paced(self._on_request, node),
             callback_group=group,
             qos_profile=CALLS,
         )
@@ -70,7 +76,7 @@ class SynthesisServices:
             "generate_grasps",
             self._on_goal,
             callback_group=group,
-            goal_callback=lambda _: GoalResponse.ACCEPT,
+            goal_callback=self._on_goal_request,
             cancel_callback=node.guard.plain(
                 "cancelling a goal", self._on_cancel, CancelResponse.REJECT
             ),
@@ -115,10 +121,15 @@ class SynthesisServices:
     ) -> SynthesizeGrasps.Response:
         try:
             job = self._submit("synthesize_grasps", message, lambda job: None)
+            await self._ended(job)
+            outcome = self._outcome(job)
         except MegraspError as error:
-            return self._refused("synthesize_grasps", error).fill(response)
-        await self._ended(job)
-        return self._outcome(job).fill(response)
+            outcome = self._refused("synthesize_grasps", error)
+        return outcome.fill(response)
+
+    async def _on_goal_request(self, _: GenerateGrasps.Goal) -> GoalResponse:
+        await wake_when(self._accepted.enter, self._node)
+        return GoalResponse.ACCEPT
 
     async def _on_goal(self, handle: ServerGoalHandle) -> GenerateGrasps.Result:
         result, goal = GenerateGrasps.Result(), bytes(handle.goal_id.uuid)
@@ -143,6 +154,7 @@ class SynthesisServices:
         # rclpy keeps the goal as long as its result.
         handle.request.cloud = PointCloud2()
         handle.request.exclude = []
+        await wake_when(self._results.enter, self._node)
         self._finish(handle, outcome)
         return outcome.fill(result)
 

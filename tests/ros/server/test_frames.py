@@ -46,10 +46,7 @@ class StubBuffer:
 
 def settings(**values):
     return SimpleNamespace(
-        **(
-            {"planning_frame": "", "extrinsics": None, "gravity": None, "tf_timeout": 0.2}
-            | values
-        )
+        **({"planning_frame": "", "extrinsics": None, "gravity": None, "tf_timeout": 0.2} | values)
     )
 
 
