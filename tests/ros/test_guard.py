@@ -292,7 +292,7 @@ def test_every_callback_is_among_those_above(pair: Pair) -> None:
 
 
 def test_the_source_of_this_node_makes_no_unguarded_callback() -> None:
-    """rclpy's classes are not made by hand beside the guarded methods."""
+    """Nothing is made by hand beside the guarded methods."""
     folder = Path(__file__).parents[2] / "megrasp_ros" / "megrasp_ros"
     for file in folder.rglob("*.py"):
         text = file.read_text()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from itertools import pairwise
 
 from megrasp_ros.pacing import Gate
 
@@ -26,7 +27,7 @@ def test_a_few_pass_at_once_and_many_in_their_order() -> None:
     assert [number for number, _ in passed] == list(range(20))
     times = [at for _, at in passed[3:]]
     # Not faster than the gap; sleeping may be a little short.
-    assert min(later - earlier for earlier, later in zip(times, times[1:])) > 0.005
+    assert min(later - earlier for earlier, later in pairwise(times)) > 0.005
 
 
 def test_nobody_passes_before_the_crowd_has_come() -> None:

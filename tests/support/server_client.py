@@ -18,10 +18,11 @@ from cell_processes import (
     processes,
     result,
     spinning_node,
+    until,
 )
 from geometry_msgs.msg import PoseArray
 from megrasp_msgs.action import GenerateGrasps
-from megrasp_msgs.msg import GraspArray, GripperInfo
+from megrasp_msgs.msg import ErrorCode, GraspArray, GripperInfo
 from megrasp_msgs.srv import ListGrippers, ReloadGrippers, SetGripper, SynthesizeGrasps
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
@@ -68,8 +69,15 @@ class Client:
             while not wait(timeout_sec=1.0):
                 assert process.poll() is None, running.log("grasp_server")
                 assert time.monotonic() < end, "the node did not offer all its services"
-        # Services are there before the model is loaded; the first answer comes after that.
-        self.call(ListGrippers.Request(), START)
+
+    def wait_until_started(self) -> None:
+        """Wait until a node that starts by itself is active, or has failed to be configured."""
+
+        def started() -> bool:
+            answer = self.set_gripper("robotiq_2f85", dry_run=True)
+            return answer.error_code != ErrorCode.NOT_ACTIVE
+
+        assert until(started, START), "the node did not become active"
 
     def start(self, request) -> Future:
         """Send a service request and return its future."""
@@ -130,7 +138,10 @@ def running_server(
             running.start_command("grasp_server", [sys.executable, str(DOUBLE)], **parameters)
         else:
             running.start("grasp_server", **parameters)
-        yield Client(node, running), running
+        client = Client(node, running)
+        if parameters.get("autostart", True):
+            client.wait_until_started()
+        yield client, running
 
 
 def table_points(count: int = 4000, *, objects: bool = True, seed: int = 0) -> np.ndarray:

@@ -106,8 +106,8 @@ def _service(value: str) -> str:
     try:
         full = expand_topic_name(value, "node", "/")
         validate_full_topic_name(full, is_service=True)
-    except (InvalidTopicNameException, InvalidServiceNameException) as error:
-        return f"{value[:80]!r} is no name of a service ({str(error).splitlines()[0]})"
+    except (ValueError, InvalidTopicNameException, InvalidServiceNameException):
+        return f"{value[:80]!r} was given; expected the name of a service, such as change_tool"
     return ""
 
 

@@ -236,6 +236,16 @@ class Worker:
             if not is_expected(error):
                 _log.exception("job %r failed", job.what)
             job.error = error
+        _forget_frames(job.error)
+
+
+def _forget_frames(error: BaseException | None) -> None:
+    """Let go of what the frames of a traceback hold: clouds, for as long as nobody collects."""
+    while error is not None:
+        error.__traceback__ = None
+        following = error.__cause__ or error.__context__
+        error.__cause__ = error.__context__ = None
+        error = following
 
 
 def _nothing(job: Job) -> None:

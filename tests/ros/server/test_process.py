@@ -12,16 +12,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from cell_processes import WAIT, in_executor, own_domain, processes, result
+from cell_processes import WAIT, in_executor, own_domain, processes, result, until
+from geometry_msgs.msg import PoseArray
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from megrasp_msgs.msg import ErrorCode, OrientedBox
+from megrasp_msgs.msg import ErrorCode, GraspArray, GripperInfo, OrientedBox
 from megrasp_msgs.srv import SynthesizeGrasps
 from server_client import (
     START,
     Client,
+    Latest,
     running_server,
-    seconds_since,
     stamped_cloud,
     table_points,
 )
@@ -77,20 +78,25 @@ def test_a_network_answers_and_damaged_weights_are_error_300(
             "cloud": stamped_cloud(client.node, table_points()),
             "seed": 3,
         }
+        # Configuring fails, so that a manager sees it, and requests are told why.
+        assert until(lambda: client.synthesize(**request).error_code == ErrorCode.MODEL_NOT_LOADED)
         refused = client.synthesize(**request)
-        assert refused.error_code == ErrorCode.MODEL_NOT_LOADED
-        assert "damaged" in refused.error_msg
-        # Grippers work all the same.
-        assert client.set_gripper("robotiq_3f").success
-        assert not client.parameters(model="no_such_model")
-        refused = client.synthesize(**request)
-        assert refused.error_code == ErrorCode.MODEL_NOT_LOADED
-        assert "no_such_model" in refused.error_msg
+        assert "configuring it failed" in refused.error_msg and "damaged" in refused.error_msg
+        get = client.node.create_client(GetState, "grasp_server/get_state")
+        state = result(in_executor(client.node, lambda: get.call_async(GetState.Request())))
+        assert state.current_state.id == State.PRIMARY_STATE_UNCONFIGURED
+        (reason,) = client.parameters(model="no_such_model")
+        assert "no_such_model" in reason and "not found" in reason
 
+        # A parameter that mends it starts the node that starts by itself.
         assert not client.parameters(model=str(model_folder))
+        assert until(lambda: client.set_gripper("robotiq_3f").success)
         check_real_answers(client, request)
-        # SIGTERM while idle; the other test sends SIGINT at work.
-        assert running.stop("grasp_server", signal.SIGTERM) == 0
+        # A second signal while it puts things in order; the other test sends SIGINT at work.
+        process = running.running["grasp_server"]
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.1)
+        assert running.stop("grasp_server", signal.SIGINT) == 0
         assert "Traceback" not in running.log("grasp_server")
 
 
@@ -189,11 +195,40 @@ def test_a_lifecycle_manager_can_own_the_node_and_sigint_ends_it_at_work(tmp_pat
         assert go(Transition.TRANSITION_ACTIVATE) == State.PRIMARY_STATE_ACTIVE
         assert answer() == ErrorCode.TIMEOUT
 
-        client.start(SynthesizeGrasps.Request(num_grasps=1, cloud=cloud))
+        # What is impossible is answered, and changes nothing.
+        for number in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE, 99, 255):
+            request = ChangeState.Request(transition=Transition(id=number))
+            answered = result(in_executor(client.node, lambda r=request: change.call_async(r)))
+            assert not answered.success
+        assert answer() == ErrorCode.TIMEOUT
+        # Poses that were computed before it was off are taken back.
+        assert not client.parameters(model="quick")
+        assert client.synthesize(num_grasps=1, cloud=cloud).success
+        poses, grasps = (
+            Latest(client, PoseArray, "pregrasps"),
+            Latest(client, GraspArray, "grasps"),
+        )
+        assert until(lambda: bool(poses.messages and grasps.messages))
+        assert poses.last.poses and grasps.last.grasps
+        assert go(Transition.TRANSITION_DEACTIVATE) == State.PRIMARY_STATE_INACTIVE
+        assert until(lambda: not poses.last.poses and not grasps.last.grasps)
+        assert go(Transition.TRANSITION_CLEANUP) == State.PRIMARY_STATE_UNCONFIGURED
+        assert not client.parameters(gripper="robotiq_3f", model="slow")
+        assert go(Transition.TRANSITION_CONFIGURE) == State.PRIMARY_STATE_INACTIVE
+        assert go(Transition.TRANSITION_ACTIVATE) == State.PRIMARY_STATE_ACTIVE
+        late, active = (
+            Latest(client, GraspArray, "grasps"),
+            Latest(client, GripperInfo, "active_gripper"),
+        )
+        assert until(lambda: bool(late.messages and active.messages))
+        assert (late.last.grasps, active.last.name) == ([], "robotiq_3f")
+
+        working = client.goal(num_grasps=1, cloud=cloud, timeout=60.0)
+        outcome = client.outcome(working)
         maps = Path(f"/proc/{running.running['grasp_server'].pid}/maps").read_text()
-        start = time.monotonic()
         assert running.stop("grasp_server", signal.SIGINT) == 0
-        assert seconds_since(start) < 5.0
+        # It did not sit the job out, which takes all its steps: the client was told.
+        assert result(outcome).result.error_code == ErrorCode.CANCELLED
         # Shared memory of Fast DDS must not outlive the node; what is left is the client's own.
         mine = segments(Path("/proc/self/maps").read_text())
         assert segments(maps) - mine
