@@ -16,6 +16,7 @@ import numpy as np
 from megrasp_core.errors import CancelledError, ModelError
 from megrasp_core.grippers import load_gripper
 from megrasp_core.pointcloud import only_support_left
+from megrasp_core.synthesizer import SynthesisRequest, pose_set
 from megrasp_ros.server.grasp_server import main
 
 STEPS = 20
@@ -38,7 +39,7 @@ class DoubleSynthesizer:
         self.gripper = gripper
 
     def synthesize(
-        self, cloud, *, num_grasps, drawn, seed, on_step, cancelled, exclude, **options
+        self, cloud, *, num_grasps, drawn, seed, on_step, on_poses, cancelled, exclude, **options
     ):
         self.threads.add(threading.get_ident())
         assert len(self.threads) == 1, "the synthesizer belongs to one thread"
@@ -47,6 +48,7 @@ class DoubleSynthesizer:
                 raise CancelledError("stopped")
             time.sleep(SLOW_STEP if self.behaviour == "slow" else 0.0)
             on_step("sample", step + 1, STEPS)
+            on_poses(pose_set(np.eye(4)[None], self.gripper, SynthesisRequest()))
         on_step("rank", 1, 1)
         if self.behaviour == "memory":
             raise MemoryError("no room for 3 poses")

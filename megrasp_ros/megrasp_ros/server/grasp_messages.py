@@ -15,6 +15,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from megrasp_core.grippers import Gripper
+from megrasp_core.synthesizer import PoseSet
 from megrasp_ros.conversions import matrix_from_pose, pose_from_matrix
 
 
@@ -83,6 +84,32 @@ def grasp_array(
                 collision_free=bool(grasp.collision_free),
             )
             for rank, grasp in enumerate(grasps)
+        ],
+    )
+
+
+def unfinished(
+    gripper: Gripper, poses: PoseSet, *, header: Header, model_id: str, seed: int
+) -> GraspArray:
+    """Return poses of the sampler as grasps: not checked, without width, score and clearance."""
+    return GraspArray(
+        header=header,
+        gripper=gripper.name,
+        model_id=model_id,
+        seed=seed,
+        grasps=[
+            Grasp(
+                id=index,
+                pregrasp=pose_from_matrix(poses.gripper[index]),
+                tcp=pose_from_matrix(poses.tcp[index]),
+                approach=pose_from_matrix(poses.approach[index]),
+                width=math.nan,
+                score=0.0,
+                clearance=math.nan,
+                tilt=math.nan,
+                collision_free=False,
+            )
+            for index in range(len(poses))
         ],
     )
 

@@ -16,7 +16,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
-from megrasp_msgs.msg import ErrorCode
+from megrasp_msgs.msg import ErrorCode, GraspArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -52,7 +52,10 @@ STOP = 30.0
 """Longest wait (s) for a job to stop when the node is deactivated."""
 
 ANSWERS = 3.0
-"""Longest wait (s) for answers to go out when the node ends."""
+"""Longest wait (s) for requests to be decided when the node ends, and"""
+
+SENDING = 0.5
+"""time (s) for their answers to go out."""
 
 
 class GraspServer(GuardedLifecycleNode):
@@ -188,10 +191,14 @@ class GraspServer(GuardedLifecycleNode):
         """
         self._is_active = False
         self._state.suspend()
+        asked = self._open
         self._worker.close()
         end = time.monotonic() + ANSWERS
         while self._open and time.monotonic() < end:
             time.sleep(0.01)
+        if asked:
+            # What was decided still has to be written and sent.
+            time.sleep(SENDING)
 
     def destroy_node(self) -> None:
         """Destroy the action server, too."""
@@ -260,12 +267,12 @@ class GraspServer(GuardedLifecycleNode):
         self._require_active()
         grippers, claim = self._grippers.chosen(request.gripper_name, settings, job)
 
-        def step(phase: str, index: int, total: int) -> None:
+        def step(phase: str, index: int, total: int, grasps: GraspArray | None) -> None:
             if claim is not None and len(grippers) == 1:
                 # Nobody waits for grasps of a gripper that has gone.
                 self._state.check(claim)
             if on_step is not None:
-                on_step(phase, index, total)
+                on_step(phase, index, total, grasps)
 
         try:
             self._engine.load_model(settings)

@@ -8,27 +8,28 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from megrasp_msgs.msg import ErrorCode
+from megrasp_msgs.msg import ErrorCode, GraspArray
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
 from megrasp_core.grippers import Gripper
 from megrasp_core.pointcloud import Cloud, check_view
+from megrasp_core.synthesizer import PoseSet
 from megrasp_ros.conversions import points_from_cloud
 from megrasp_ros.errors import BinEmptyError
 
 from .clouds import CloudSource
 from .engine import Engine, best_of
 from .frames import FrameSource, gravity_in, is_optical
-from .grasp_messages import Outcome, grasp_array, rejection_counts, timing_message
+from .grasp_messages import Outcome, grasp_array, rejection_counts, timing_message, unfinished
 from .parameters import Settings
 from .requests import ParsedRequest
 from .worker import Job
 
 FloatArray = NDArray[np.float64]
-OnStep = Callable[[str, int, int], None]
-"""(phase, step, total_steps)."""
+OnStep = Callable[[str, int, int, GraspArray | None], None]
+"""(phase, step, total_steps, unfinished and unchecked grasps where there are any)."""
 SEED_MASK = 2**63 - 1
 _PHASES = {"rank": "check"}
 """The core's phase names -> those of GenerateGrasps.action."""
@@ -68,8 +69,8 @@ class SynthesisRunner:
         Errors of the request, the cloud and the model are raised; that no grasp was found is an
         outcome, since it comes with counts.
         """
-        step = on_step or (lambda phase, index, total: None)
-        step("wait", 0, 0)
+        step = on_step or (lambda phase, index, total, grasps=None: None)
+        step("wait", 0, 0, None)
         exclude = request.excluded(job.check)
         message = request.cloud
         if message is not None:
@@ -82,14 +83,23 @@ class SynthesisRunner:
                 not_before=request.not_before,
             )
         waited = job.elapsed
-        step("perceive", 0, 1)
+        step("perceive", 0, 1, None)
         perceived = time.monotonic()
         cloud, header, gravity = self._perceive(message, request, settings)
         job.check()
         perceive = time.monotonic() - perceived
-        options = self._options(job, request, settings, gravity, step)
+        options = self._options(job, request, settings, gravity)
         results = [
-            (gripper, self._engine.synthesize(gripper, cloud, exclude=exclude, **options))
+            (
+                gripper,
+                self._engine.synthesize(
+                    gripper,
+                    cloud,
+                    exclude=exclude,
+                    **self._told(gripper, header, request.seed, step),
+                    **options,
+                ),
+            )
             for gripper in grippers
         ]
         gripper, synthesis = best_of(results)
@@ -134,17 +144,28 @@ class SynthesisRunner:
         cloud = Cloud(points, None, settings.sensor_origin).transformed(planning_from_cloud)
         return cloud, Header(stamp=message.header.stamp, frame_id=frame), gravity
 
-    def _options(
-        self,
-        job: Job,
-        request: ParsedRequest,
-        settings: Settings,
-        gravity: FloatArray,
-        step: OnStep,
-    ) -> dict[str, Any]:
-        def told(phase: str, index: int, total: int) -> None:
-            step(_PHASES.get(phase, phase), index, total)
+    def _told(
+        self, gripper: Gripper, header: Header, seed: int, step: OnStep
+    ) -> dict[str, Callable[..., None]]:
+        """Return the core's callbacks: unfinished poses come after the step they belong to."""
+        at = ("sample", 0, 0)
 
+        def on_step(phase: str, index: int, total: int) -> None:
+            nonlocal at
+            at = (_PHASES.get(phase, phase), index, total)
+            step(*at, None)
+
+        def on_poses(poses: PoseSet) -> None:
+            grasps = unfinished(
+                gripper, poses, header=header, model_id=self._engine.model_id, seed=seed
+            )
+            step(*at, grasps)
+
+        return {"on_step": on_step, "on_poses": on_poses}
+
+    def _options(
+        self, job: Job, request: ParsedRequest, settings: Settings, gravity: FloatArray
+    ) -> dict[str, Any]:
         return {
             "num_grasps": request.num_grasps,
             "drawn": max(settings.drawn, request.num_grasps),
@@ -159,7 +180,6 @@ class SynthesisRunner:
             "exclude_radius": request.exclude_radius,
             # The core's seeds have one bit less than those of the message.
             "seed": request.seed & SEED_MASK,
-            "on_step": told,
             "cancelled": job.should_stop,
         }
 

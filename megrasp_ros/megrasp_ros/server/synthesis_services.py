@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 from megrasp_msgs.action import GenerateGrasps
-from megrasp_msgs.msg import ErrorCode
+from megrasp_msgs.msg import ErrorCode, GraspArray
 from megrasp_msgs.srv import SynthesizeGrasps
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
@@ -133,11 +133,12 @@ class SynthesisServices:
 
     async def _on_goal(self, handle: ServerGoalHandle) -> GenerateGrasps.Result:
         result, goal = GenerateGrasps.Result(), bytes(handle.goal_id.uuid)
+        feedback = _Feedback(handle)
         try:
             job = self._submit(
                 "generate_grasps",
                 handle.request,
-                lambda job: _feedback(handle, job),
+                feedback.of,
                 preempt=handle.request.preempt,
                 note=lambda job: self._goals.__setitem__(goal, job),
             )
@@ -145,6 +146,8 @@ class SynthesisServices:
                 job.cancel(_CANCELLED)
             await self._ended(job)
             outcome = self._outcome(job)
+            if outcome.error_code == ErrorCode.CANCELLED:
+                outcome.grasps = feedback.grasps
         except MegraspError as error:
             outcome = self._refused("generate_grasps", error)
         except Exception as error:
@@ -233,13 +236,28 @@ class SynthesisServices:
         return outcome
 
 
-def _feedback(handle: ServerGoalHandle, job: Job) -> OnStep:
-    def publish(phase: str, step: int, total: int) -> None:
-        if handle.is_active:
-            handle.publish_feedback(
-                GenerateGrasps.Feedback(
-                    phase=phase, step=step, total_steps=total, elapsed=job.elapsed
-                )
-            )
+class _Feedback:
+    """Tells the client of a goal how far it is; keeps the latest unfinished grasps."""
 
-    return publish
+    def __init__(self, handle: ServerGoalHandle) -> None:
+        self._handle = handle
+        self.grasps = GraspArray()
+
+    def of(self, job: Job) -> OnStep:
+        """Return what is called at each step of the job."""
+
+        def publish(phase: str, step: int, total: int, grasps: GraspArray | None) -> None:
+            if grasps is not None:
+                self.grasps = grasps
+            if self._handle.is_active:
+                self._handle.publish_feedback(
+                    GenerateGrasps.Feedback(
+                        phase=phase,
+                        step=step,
+                        total_steps=total,
+                        elapsed=job.elapsed,
+                        grasps=grasps or GraspArray(),
+                    )
+                )
+
+        return publish

@@ -316,3 +316,27 @@ def test_a_saved_model_gives_the_same_grasps(model, synthesizer, tmp_path):
     loaded = GraspSynthesizer.load(folder, "robotiq_2f85")
     a, b = run(synthesizer, keep_all=True), run(loaded, keep_all=True)
     np.testing.assert_allclose(a.grasps[0].world_from_tcp, b.grasps[0].world_from_tcp, atol=1e-9)
+
+
+@pytest.mark.parametrize("far", [0.0, 5000.0])
+def test_unfinished_poses_are_told_in_the_frame_of_the_cloud(synthesizer, far):
+    heard, offset = [], np.array([far, 0.0, 0.0])
+    pose = np.eye(4)
+    pose[:3, 3] = offset
+    result = synthesizer.synthesize(
+        table_cloud().moved(offset),
+        region=REGION.transformed(pose),
+        mode="fast",
+        num_grasps=5,
+        seed=3,
+        keep_all=True,
+        on_poses=heard.append,
+    )
+    assert len(heard) == result.evaluations
+    assert all(len(poses) == 5 for poses in heard)
+    # The last ones are those that were checked and ranked, here in their order of drawing.
+    drawn = {tuple(np.round(tcp[:3, 3] - offset, 3)) for tcp in heard[-1].tcp}
+    ranked = {tuple(np.round(grasp.world_from_tcp[:3, 3] - offset, 3)) for grasp in result.grasps}
+    assert len(drawn & ranked) >= 1
+    fits = heard[-1].gripper @ synthesizer.gripper.gripper_from_tcp
+    np.testing.assert_allclose(fits, heard[-1].tcp, atol=1e-9 * max(1.0, far))

@@ -29,6 +29,11 @@ def test_the_action_gives_feedback_and_the_services_result(server: Client) -> No
     assert steps
     assert all(each.total_steps == 20 for each in steps)
     assert {each.phase for each in heard} <= {"wait", "perceive", "encode", "sample", "check"}
+    # What is known so far comes with the steps of the sampler, and is marked as not checked.
+    (partial,) = {each.grasps.gripper for each in steps} - {""}
+    assert partial == "robotiq_2f85"
+    unfinished = [grasp for each in steps for grasp in each.grasps.grasps]
+    assert unfinished and not any(grasp.collision_free for grasp in unfinished)
 
 
 def test_cancelling_stops_within_one_step(server: Client) -> None:
@@ -47,6 +52,9 @@ def test_cancelling_stops_within_one_step(server: Client) -> None:
     assert seconds_since(start) < 2 * 0.25 + 1.0
     assert answer.status == 5  # GoalStatus.STATUS_CANCELED
     assert answer.result.error_code == ErrorCode.CANCELLED
+    # With the poses as they were, of the gripper, not checked.
+    assert answer.result.grasps.gripper == "robotiq_2f85"
+    assert [grasp.collision_free for grasp in answer.result.grasps.grasps] == [False]
     assert not server.parameters(model="quick")
     assert still_serves(server)
 

@@ -228,7 +228,7 @@ def test_a_lifecycle_manager_can_own_the_node_and_sigint_ends_it_at_work(tmp_pat
         maps = Path(f"/proc/{running.running['grasp_server'].pid}/maps").read_text()
         assert running.stop("grasp_server", signal.SIGINT) == 0
         # It did not sit the job out, which takes all its steps: the client was told.
-        assert result(outcome).result.error_code == ErrorCode.CANCELLED
+        assert result(outcome, 30.0).result.error_code == ErrorCode.CANCELLED
         # Shared memory of Fast DDS must not outlive the node; what is left is the client's own.
         mine = segments(Path("/proc/self/maps").read_text())
         assert segments(maps) - mine

@@ -33,6 +33,12 @@ class PoseSet:
         """Count the poses."""
         return len(self.tcp)
 
+    def moved(self, offset: np.ndarray) -> PoseSet:
+        """The same poses, moved by `offset` (3,) (m)."""
+        shift = np.zeros((4, 4))
+        shift[:3, 3] = offset
+        return PoseSet(self.tcp + shift, self.gripper + shift, self.approach + shift)
+
 
 def world_from_tcp(scene_from_tcp: PoseBatch, centroid: np.ndarray) -> np.ndarray:
     """Poses (N, 4, 4) float64 in the frame of the cloud, whose nodes have this centroid (3,)."""

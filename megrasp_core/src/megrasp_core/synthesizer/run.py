@@ -30,6 +30,7 @@ from megrasp_core.ranking import rejection_counts
 from .assessor import Assessor, MountedGripper
 from .perception import perceive
 from .polish import polish
+from .poses import PoseSet, pose_set, world_from_tcp
 from .request import SynthesisRequest
 from .result import RankedGrasp, Synthesis
 from .sampling import draw_starts
@@ -37,12 +38,15 @@ from .scene_judge import Assessment
 from .selection import rank_poses
 from .settings import SynthesizerSettings
 
-__all__ = ["Cancelled", "OnStep", "SynthesisRun"]
+__all__ = ["Cancelled", "OnPoses", "OnStep", "SynthesisRun"]
 
 LOGGER = logging.getLogger(__name__)
 
 OnStep = Callable[[str, int, int], None]
 """(phase, step, steps of the phase)."""
+
+OnPoses = Callable[[PoseSet], None]
+"""(unfinished poses, at most as many as are returned)."""
 
 Cancelled = Callable[[], bool]
 
@@ -63,12 +67,14 @@ class SynthesisRun:
         scene_settings: SceneSettings,
         settings: SynthesizerSettings,
         on_step: OnStep | None = None,
+        on_poses: OnPoses | None = None,
         cancelled: Cancelled | None = None,
     ) -> None:
         self.model, self.schedule, self.sampler = model, schedule, sampler
         self.settings, self.scene_settings = settings, scene_settings
         self.mounted, self.request = mounted, request
-        self.on_step, self.cancelled = on_step, cancelled
+        self.on_step, self.on_poses, self.cancelled = on_step, on_poses, cancelled
+        self.centroid = np.zeros(3)
         self.timing: dict[str, float] = {}
         self.notes: tuple[str, ...] = ()
         self.generator = torch.Generator(device=self.model.device)
@@ -88,6 +94,7 @@ class SynthesisRun:
             return self._answer([], rejection_counts(np.zeros(0, "<U12")), start, empty=True)
         with self._phase("encode"):
             field = self.model.encode_scene(seen.nodes)
+        self.centroid = seen.nodes.centroid
         assessor = Assessor(self.model, self.mounted, seen, field)
         left_out: tuple[Assessment, np.ndarray] | None = None
         with self._phase("sample"):
@@ -175,6 +182,10 @@ class SynthesisRun:
     def _report(self, step: SamplerStep) -> None:
         if self.on_step is not None:
             self.on_step("sample", step.index, self.sampler.evaluations)
+        if self.on_poses is not None:
+            first = step.poses.part(range(min(len(step.poses), self.request.num_grasps)))
+            tcp = world_from_tcp(first, self.centroid)
+            self.on_poses(pose_set(tcp, self.mounted.gripper, self.request))
 
     @contextmanager
     def _phase(self, name: str) -> Iterator[None]:

@@ -23,7 +23,7 @@ from megrasp_core.ranking import GripperProbe, gripper_probe
 from .assessor import MountedGripper
 from .request import SynthesisRequest
 from .result import Synthesis
-from .run import Cancelled, OnStep, SynthesisRun
+from .run import Cancelled, OnPoses, OnStep, SynthesisRun
 from .settings import SynthesizerSettings
 
 __all__ = ["GraspSynthesizer"]
@@ -130,6 +130,7 @@ class GraspSynthesizer:
         request: SynthesisRequest | None = None,
         *,
         on_step: OnStep | None = None,
+        on_poses: OnPoses | None = None,
         cancelled: Cancelled | None = None,
         **options: Any,
     ) -> Synthesis:
@@ -142,6 +143,8 @@ class GraspSynthesizer:
                 sensor, region.
             on_step: called with (phase, step, steps of the phase); phases perceive, encode,
                 sample, rank.
+            on_poses: called after each step of the sampler with poses as they are then: neither
+                finished nor checked, in no order.
             cancelled: asked between steps.
 
         Raises:
@@ -164,6 +167,8 @@ class GraspSynthesizer:
         offset = _far_origin(cloud)
         if offset.any():
             cloud, request = cloud.moved(-offset), request.moved(-offset)
+            if on_poses is not None:
+                on_poses = _moved_back(on_poses, offset)
         with self._running():
             result = SynthesisRun(
                 self.model,
@@ -174,6 +179,7 @@ class GraspSynthesizer:
                 scene_settings=self.scene_settings,
                 settings=self.settings,
                 on_step=on_step,
+                on_poses=on_poses,
                 cancelled=cancelled,
             ).run(cloud)
         if offset.any():
@@ -192,6 +198,10 @@ class GraspSynthesizer:
         finally:
             if self.threads is not None:
                 torch.set_num_threads(before)
+
+
+def _moved_back(on_poses: OnPoses, offset: np.ndarray) -> OnPoses:
+    return lambda poses: on_poses(poses.moved(offset))
 
 
 def _far_origin(cloud: Cloud) -> np.ndarray:
