@@ -28,7 +28,13 @@ for _megrasp_limit in /proc/sys/net/core/rmem_max /proc/sys/net/core/wmem_max; d
   fi
 done
 export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$_megrasp_root/launch_scripts/config/$_megrasp_profile}"
-export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
+if [ -z "${ROS_AUTOMATIC_DISCOVERY_RANGE:-}" ]; then
+  export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
+  # Once a shell, and only to people: scripts read what is printed.
+  if [ -t 2 ]; then
+    echo "env.sh: ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST, nodes of other machines are not seen; set SUBNET for them" >&2
+  fi
+fi
 
 eval "$_megrasp_options"
 unset _megrasp_root _megrasp_options _megrasp_profile _megrasp_limit

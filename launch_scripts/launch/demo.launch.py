@@ -23,6 +23,7 @@ def generate_launch_description() -> LaunchDescription:
     """Return the three nodes; the launch ends when the bin is done."""
     arguments = [
         DeclareLaunchArgument("rviz", default_value="false", description="start RViz"),
+        DeclareLaunchArgument("namespace", default_value="", description="of all nodes"),
         DeclareLaunchArgument("clear", default_value="true", description="start bin_clearing"),
     ]
     params = PathJoinSubstitution([SHARE, "config", "demo.yaml"])
@@ -30,17 +31,23 @@ def generate_launch_description() -> LaunchDescription:
         package="megrasp_ros",
         executable="sim_cell",
         name="sim_cell",
+        namespace=LaunchConfiguration("namespace"),
         output="screen",
         parameters=[params],
     )
     server = IncludeLaunchDescription(
         PathJoinSubstitution([SHARE, "launch", "grasp_server.launch.py"]),
-        launch_arguments={"params": params}.items(),
+        launch_arguments={
+            "params": params,
+            "namespace": LaunchConfiguration("namespace"),
+            "respawn": "false",
+        }.items(),
     )
     clearing = Node(
         package="megrasp_ros",
         executable="bin_clearing",
         name="bin_clearing",
+        namespace=LaunchConfiguration("namespace"),
         output="screen",
         parameters=[params],
         condition=IfCondition(LaunchConfiguration("clear")),
@@ -48,6 +55,7 @@ def generate_launch_description() -> LaunchDescription:
     view = Node(
         package="rviz2",
         executable="rviz2",
+        namespace=LaunchConfiguration("namespace"),
         arguments=["-d", PathJoinSubstitution([SHARE, "rviz", "megrasp.rviz"])],
         condition=IfCondition(LaunchConfiguration("rviz")),
     )

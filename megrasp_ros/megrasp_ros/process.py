@@ -71,6 +71,8 @@ def run_node(
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     nodes: list[Runnable] = []
     code = _serve(make, nodes, threads, signals)
+    # Here, where nothing holds the executor any more.
+    _join_callbacks(3.0)
     while nodes:
         nodes.pop().destroy_node()
     rclpy.try_shutdown()
@@ -124,7 +126,6 @@ def _serve(
         executor.shutdown()
         if spinner.is_alive():
             spinner.join(2.0)
-        _join_callbacks(3.0)
     if failed:
         get_logger("megrasp_ros").fatal(f"spinning has failed too often: {failed[0]}")
         return 1

@@ -24,6 +24,7 @@ class CellParameters:
     gripper: str
     cloud_rate: float
     frame: str
+    publish_clock: bool
 
 
 def declare_cell_parameters(node: Node) -> CellParameters:
@@ -54,6 +55,9 @@ def declare_cell_parameters(node: Node) -> CellParameters:
             "frame",
             "cell",
             f"frame of `points`, one of {', '.join(FRAMES)}; optical: the camera's frame",
+        ),
+        publish_clock=declare(
+            "publish_clock", False, "publish /clock, for nodes with use_sim_time"
         ),
     )
     if parameters.frame not in FRAMES:

@@ -1,8 +1,9 @@
 """Node `sim_cell`: the robot cell, played in MuJoCo, behind the interfaces of a real cell.
 
 Publishes `points` (PointCloud2, best effort, depth 1), `depth` and `camera_info`, each only while
-somebody listens, and `tool_id` (latched). Serves `change_tool` and the action `execute_grasp`. The
-simulation runs in one worker thread, so that services answer while a grasp is executed.
+somebody listens, `tool_id` (latched) and, if asked for, `/clock`. Serves `change_tool` and the
+action `execute_grasp`. The simulation runs in one worker thread, so that services answer while a
+grasp is executed.
 
 Frames: `cell` is the world of the simulation, z up, origin on the bin's floor in its middle;
 `cell_camera_optical_frame` is the camera's. Grasps are accepted in both.
@@ -21,13 +22,16 @@ from megrasp_msgs.srv import ChangeTool
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock as RclpyClock
+from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.time import Time
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import String
 
 from megrasp_core.cell.robot_cell import CellView, ExecutionResult, RobotCell
-from megrasp_core.errors import InvalidRequestError
+from megrasp_core.errors import CancelledError, InvalidRequestError
 from megrasp_core.objects import load_objects
 from megrasp_ros.conversions import matrix_from_pose
 from megrasp_ros.errors import (
@@ -46,6 +50,9 @@ from .parameters import CellParameters, declare_cell_parameters
 
 CELL_FRAME = "cell"
 CAMERA_FRAME = "cell_camera_optical_frame"
+
+CLOCK_PERIOD = 0.02
+STEADY = ClockType.STEADY_TIME
 
 FUTURE_TOLERANCE = 1.0
 """A stamp may lie this far (s) ahead of the node's clock."""
@@ -76,10 +83,16 @@ class SimCell(Node):
             "execute_grasp",
             self._execute,
             callback_group=group,
-            # The simulated motion is over in about a second and cannot stop halfway.
-            cancel_callback=lambda _: CancelResponse.REJECT,
+            # Heard at the beginning of the next phase; the arm then goes back, and the scene is as
+            # before.
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
             result_timeout=60,
         )
+        if self._settings.publish_clock:
+            self._clock_topic = self.create_publisher(Clock, "/clock", 10)
+            self.create_timer(
+                CLOCK_PERIOD, self._tell_time, group, clock=RclpyClock(clock_type=STEADY)
+            )
         self.get_logger().info(
             f"ready: {self._cell.objects_left} objects, rack {', '.join(self._cell.rack)}, "
             f"{self._cell.gripper.name} mounted"
@@ -90,6 +103,10 @@ class SimCell(Node):
         self._worker.shutdown(wait=True, cancel_futures=True)
         self._action.destroy()
         super().destroy_node()
+
+    def _tell_time(self) -> None:
+        # The machine's clock: the node's own may be the one that is told here.
+        self._clock_topic.publish(Clock(clock=RclpyClock().now().to_msg()))
 
     # Camera
 
@@ -161,6 +178,11 @@ class SimCell(Node):
         result = ExecuteGrasp.Result(objects_left=self._cell.objects_left)
         try:
             outcome = self._attempt(goal, handle)
+        except CancelledError as error:
+            result.error_code, result.error_msg = self._explain(error)
+            handle.canceled()
+            self.get_logger().info("grasp cancelled; the scene is as before")
+            return result
         except Exception as error:
             result.error_code, result.error_msg = self._explain(error)
         else:
@@ -195,10 +217,14 @@ class SimCell(Node):
         world_from_frame = self._world_from(goal.header.frame_id)
         pose = world_from_frame @ matrix_from_pose(goal.grasp.pregrasp, "grasp.pregrasp")
         approach = world_from_frame @ matrix_from_pose(goal.grasp.approach, "grasp.approach")
-        handle.publish_feedback(ExecuteGrasp.Feedback(phase="approach"))
-        outcome = self._cell.execute(pose, approach)
+
+        def begin(phase: str) -> None:
+            if handle.is_cancel_requested:
+                raise CancelledError(f"the goal was cancelled before the phase {phase!r}")
+            handle.publish_feedback(ExecuteGrasp.Feedback(phase=phase))
+
+        outcome = self._cell.execute(pose, approach, begin)
         self._scene_changed = self.get_clock().now()
-        handle.publish_feedback(ExecuteGrasp.Feedback(phase="drop"))
         return outcome
 
     def _check_goal(self, goal: ExecuteGrasp.Goal) -> None:

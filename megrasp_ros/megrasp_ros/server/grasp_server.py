@@ -24,6 +24,7 @@ from rclpy.parameter import Parameter
 from rclpy.timer import Timer
 
 from megrasp_core.errors import InvalidRequestError
+from megrasp_core.grippers import Gripper
 from megrasp_ros.errors import BinEmptyError, ConfigureError, NotActiveError, describe
 from megrasp_ros.lifecycle import GuardedLifecycleNode
 from megrasp_ros.logs import forward_logs
@@ -40,9 +41,10 @@ from .gripper_services import GripperServices
 from .gripper_shelf import GripperShelf
 from .live_check import FindModel, LiveCheck, find_model
 from .outputs import Outputs, Picture
-from .parameter_table import TABLE
+from .parameter_table import FLANGE_PREFIX, TABLE
 from .parameters import Settings
 from .requests import ParsedRequest
+from .static_frames import StaticFrames
 from .synthesis import OnStep, SynthesisRunner
 from .synthesis_services import SynthesisServices
 from .tool_state import Claim, ToolState
@@ -100,7 +102,10 @@ class GraspServer(GuardedLifecycleNode):
         self._clouds = CloudSource(self)
         self._frames = FrameSource(self, buffer)
         self._synthesis = SynthesisRunner(self._engine, self._clouds, self._frames)
-        self._outputs = Outputs(self, lambda gripper: self._grippers.info(gripper))
+        self._static_frames = StaticFrames(self)
+        self._outputs = Outputs(
+            self, lambda gripper: self._grippers.info(gripper), self._tell_frames
+        )
         self._state = ToolState(self._outputs)
         self._grippers = GripperServices(
             self, self._engine, shelf, self._state, self._run_job, group
@@ -306,9 +311,17 @@ class GraspServer(GuardedLifecycleNode):
             self._follow_points(settings)
         if {"planning_frame", "extrinsics"} & names and self._is_active:
             self._frames.listen(settings)
+        active = self._state.active
+        told = any(name == "flange_frame" or name.startswith(FLANGE_PREFIX) for name in names)
+        if told and active is not None and self._is_active:
+            self._tell_frames(active)
         if self._not_configured is not None:
             # Perhaps this has mended what was wrong.
             self.start()
+
+    def _tell_frames(self, gripper: Gripper) -> None:
+        flange = str(self.get_parameter("flange_frame").value)
+        self._static_frames.tell(gripper, parameters.flange_from_gripper(self, gripper), flange)
 
     def _follow_points(self, settings: Settings) -> None:
         automatic = settings.auto_synthesize == "on_cloud"

@@ -25,9 +25,7 @@ from megrasp_ros.sensor_messages import cloud_message
 
 from .grasp_messages import pose_array
 from .markers import grasp_markers
-
-GRIPPER_FRAME = "gripper"
-"""Frame of `gripper_cloud`."""
+from .static_frames import GRIPPER_FRAME
 
 FloatArray = NDArray[np.float64]
 
@@ -50,9 +48,14 @@ class Outputs:
     are made for whoever subscribes, late ones included: `show` is called now and then.
     """
 
-    def __init__(self, node: GuardedLifecycleNode, info: Callable[[Gripper], GripperInfo]) -> None:
-        """`info` makes the message of a gripper."""
-        self._node, self._info = node, info
+    def __init__(
+        self,
+        node: GuardedLifecycleNode,
+        info: Callable[[Gripper], GripperInfo],
+        tell_frames: Callable[[Gripper], None],
+    ) -> None:
+        """`info` makes the message of a gripper, `tell_frames` tells tf2 of it."""
+        self._node, self._info, self._tell_frames = node, info, tell_frames
 
         def latched(kind: type, name: str) -> Any:
             return node.create_lifecycle_publisher(kind, name, LATCHED)
@@ -90,6 +93,7 @@ class Outputs:
     def active(self, gripper: Gripper) -> None:
         """Publish the gripper that is active from now on."""
         self._active.publish(self._info(gripper))
+        self._tell_frames(gripper)
         with self._lock:
             self._on = gripper
             self._shown.discard("gripper")

@@ -167,6 +167,11 @@ TABLE: dict[str, Spec] = {
         "which frame the poses of `pregrasps` and `approach_poses` place: gripper | tcp | flange",
         check=_one_of("gripper", "tcp", "flange"),
     ),
+    "flange_frame": Spec(
+        "flange",
+        "frame that the active gripper hangs on in tf2: `gripper` and `gripper_tcp` are published "
+        "below it on /tf_static (where tf2_msgs is installed); empty: not",
+    ),
     "region.pose": Spec(
         list(IDENTITY),
         "centre and axes of the region (the inside of the bin) in the planning frame: x, y, z, "

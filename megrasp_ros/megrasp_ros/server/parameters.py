@@ -47,6 +47,7 @@ class Settings:
     gravity: NDArray[np.float64] | None
     sensor_origin: NDArray[np.float64]
     pose_reference: str
+    flange_frame: str
     region: OrientedBox | None
     region_walls: bool
     floor: Plane | float | None

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from megrasp_core.cell.robot_cell import CellSettings, RobotCell
-from megrasp_core.errors import InvalidRequestError, UnknownGripperError
+from megrasp_core.errors import CancelledError, InvalidRequestError, UnknownGripperError
 from megrasp_core.objects import ObjectModel
 
 RACK = ("robotiq_2f85", "franka_hand")
@@ -248,3 +248,22 @@ def test_a_procedural_cell_can_be_repeated(grippers):
     assert first.execute(pose, approach) == second.execute(pose, approach)
     for a, b in zip(first.object_poses().values(), second.object_poses().values(), strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def test_phases_are_told_and_an_attempt_can_be_broken_off_in_each(cell):
+    pose, approach = grasp_from_above(cell, NEAR, 0.03)
+    for last in ("approach", "close", "lift", "drop"):
+        before = cell.object_poses()
+
+        def stop(phase: str, last: str = last) -> None:
+            if phase == last:
+                raise CancelledError("enough")
+
+        with pytest.raises(CancelledError, match="enough"):
+            cell.execute(pose, approach, stop)
+        assert (cell.version, cell.objects_left) == (0, 2)
+        for name, place in cell.object_poses().items():
+            np.testing.assert_allclose(place, before[name], atol=1e-12)
+    told: list[str] = []
+    assert cell.execute(pose, approach, told.append).success
+    assert told == ["approach", "close", "lift", "drop"]

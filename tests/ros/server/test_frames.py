@@ -12,8 +12,11 @@ from rclpy.node import Node
 from std_msgs.msg import Header
 
 from megrasp_core.errors import GravityError
+from megrasp_core.grippers import load_gripper
 from megrasp_ros.errors import TransformError
+from megrasp_ros.server import frames
 from megrasp_ros.server.frames import FrameSource, gravity_in
+from megrasp_ros.server.static_frames import gripper_frames
 
 
 @pytest.fixture(scope="module")
@@ -108,3 +111,39 @@ def test_gravity_has_no_silent_default_in_an_optical_frame() -> None:
     )
     with pytest.raises(GravityError, match=r"gravity: \[0.0, 0.0, 1.0\]"):
         gravity_in("camera_optical_frame", settings())
+
+
+def test_the_listener_is_there_before_the_first_request(
+    node: Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[StubBuffer] = []
+
+    def make(node: Node) -> StubBuffer:
+        made.append(StubBuffer(("base", "camera")))
+        return made[-1]
+
+    monkeypatch.setattr(frames, "tf2_buffer", make)
+    source = FrameSource(node)
+    source.listen(settings())
+    source.listen(settings(planning_frame="base", extrinsics=np.eye(4)))
+    assert not made
+    source.listen(settings(planning_frame="base"))
+    source.listen(settings(planning_frame="base"))
+    assert len(made) == 1
+    given = settings(planning_frame="base", tf_timeout=1.5)
+    assert source.planning_from_cloud(header(), given)[0] == "base"
+    assert made[0].asked[0][3] == 1_500_000_000
+    assert source.last == "camera -> base by tf2"
+
+
+def test_the_gripper_hangs_on_the_flange() -> None:
+    gripper = load_gripper("robotiq_2f85")
+    flange_from_gripper = np.diag([1.0, -1.0, -1.0, 1.0])
+    flange_from_gripper[:3, 3] = [0.0, 0.0, 0.02]
+    mounted, tcp = gripper_frames(gripper, flange_from_gripper, "tool0", header().stamp)
+    assert (mounted.header.frame_id, mounted.child_frame_id) == ("tool0", "gripper")
+    assert (tcp.header.frame_id, tcp.child_frame_id) == ("gripper", "gripper_tcp")
+    t, q = mounted.transform.translation, mounted.transform.rotation
+    assert (t.z, abs(q.x)) == pytest.approx((0.02, 1.0))
+    t = tcp.transform.translation
+    assert (t.x, t.y, t.z) == pytest.approx(tuple(gripper.tcp))

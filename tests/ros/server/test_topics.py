@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from cell_processes import until
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray
 from sensor_msgs.msg import PointCloud2
 from server_client import (
+    MOUNTED,
+    MOUNTING,
     Client,
     Latest,
     camera,
@@ -17,7 +20,7 @@ from server_client import (
 from visualization_msgs.msg import Marker, MarkerArray
 
 from megrasp_core.grippers import load_gripper
-from megrasp_ros.conversions import points_from_cloud
+from megrasp_ros.conversions import matrix_from_pose, points_from_cloud
 
 
 def values_of(message: DiagnosticArray) -> dict[str, str]:
@@ -45,6 +48,8 @@ def test_large_clouds_arrive_and_diagnostics_tell(server: Client) -> None:
     )
     assert float(values["cloud rate (Hz)"]) > 0
     assert float(values["memory (MiB)"]) > 50
+    assert values["GPU memory (MiB)"] == "none"
+    assert values["transform"] == "none needed, clouds come in 'world'"
 
 
 def test_pictures_are_made_for_those_who_look(server: Client) -> None:
@@ -68,3 +73,39 @@ def test_pictures_are_made_for_those_who_look(server: Client) -> None:
     tcp = load_gripper("robotiq_2f85").tcp
     points = points_from_cloud(gripper.last)
     assert points[:, 2].max() == pytest.approx(tcp[2], abs=0.02)
+
+
+def test_pictures_are_made_for_those_who_come_late(server: Client) -> None:
+    cloud = cloud_of(server)
+    # Nobody looks while the grasps are made, and nothing more is asked for afterwards.
+    assert server.synthesize(num_grasps=3, cloud=cloud).success
+    markers = Latest(server, MarkerArray, "grasp_markers")
+    scene = Latest(server, PointCloud2, "scene_cloud")
+    gripper = Latest(server, PointCloud2, "gripper_cloud")
+    topics = (markers, scene, gripper)
+    assert until(lambda: all(topic.messages for topic in topics))
+    assert until(lambda: len(markers.last.markers) == 4)
+    assert scene.last.header.stamp == cloud.header.stamp
+    assert gripper.last.header.frame_id == "gripper"
+    # Markers go with the gripper they are for.
+    assert server.set_gripper("robotiq_3f").success
+    assert until(lambda: len(markers.last.markers) == 1)
+    assert markers.last.markers[0].action == Marker.DELETEALL
+
+
+def test_the_mounting_can_be_changed_at_run_time(server: Client) -> None:
+    assert not server.parameters(pose_reference="flange")
+    cloud = cloud_of(server)
+    before = server.synthesize(num_grasps=1, cloud=cloud, seed=3).grasps.grasps[0]
+    assert not server.parameters(
+        flange_from_gripper__robotiq_2f85=[0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0]
+    )
+    try:
+        assert server.synthesize(num_grasps=1, cloud=cloud, seed=3).success
+        poses = Latest(server, PoseArray, "pregrasps")
+        assert until(lambda: bool(poses.messages))
+        flange = matrix_from_pose(poses.last.poses[0], "flange")
+        gripper = matrix_from_pose(before.pregrasp, "gripper")
+        np.testing.assert_allclose(flange[:3, 3], gripper[:3, 3] - 0.5 * gripper[:3, 2], atol=1e-9)
+    finally:
+        assert not server.parameters(**{MOUNTED: MOUNTING})

@@ -4,12 +4,12 @@ it, remember what failed. The one used by the cell, the protocols and the rollou
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from megrasp_core.errors import SimulationError
+from megrasp_core.errors import CancelledError, SimulationError
 from megrasp_core.pointcloud import Cloud
 from megrasp_core.simulation import Camera, DepthNoise, Verdict, World, judge, observe
 from megrasp_core.synthesizer import RankedGrasp
@@ -68,6 +68,7 @@ class PickCycle:
         self,
         world_from_gripper: NDArray[np.float64],
         approach: NDArray[np.float64] | None = None,
+        on_phase: Callable[[str], None] | None = None,
     ) -> Verdict:
         """Approach, close, lift, shake; what was lifted leaves the scene, the gripper too, and the
         rest comes to rest.
@@ -76,15 +77,20 @@ class PickCycle:
             world_from_gripper: (4, 4) pre-grasp.
             approach: (4, 4) world_from_gripper at the stand-off, from where the path to the
                 pre-grasp is tested for collision; None: no path is tested.
+            on_phase: called at the beginning of `approach`, `close`, `lift` and `drop`; may raise
+                CancelledError.
 
         Raises:
             SimulationError: the physics diverged; the scene is as before then.
+            CancelledError: of `on_phase`; the scene is as before.
         """
         before = self.world.save()
         try:
-            verdict = self._try(world_from_gripper, approach)
+            verdict = self._try(world_from_gripper, approach, on_phase)
+            if verdict.success and on_phase is not None:
+                on_phase("drop")
             self.clear(verdict.lifted if verdict.success else ())
-        except SimulationError:
+        except (SimulationError, CancelledError):
             self.world.restore(before)
             raise
         return verdict
@@ -109,9 +115,18 @@ class PickCycle:
             self.failed = [*self.failed, world_from_tcp]
 
     def _try(
-        self, world_from_gripper: NDArray[np.float64], approach: NDArray[np.float64] | None
+        self,
+        world_from_gripper: NDArray[np.float64],
+        approach: NDArray[np.float64] | None,
+        on_phase: Callable[[str], None] | None = None,
     ) -> Verdict:
-        return judge(self.world, world_from_gripper, graspable=self.left, approach=approach)
+        return judge(
+            self.world,
+            world_from_gripper,
+            graspable=self.left,
+            approach=approach,
+            on_phase=on_phase,
+        )
 
     def _way(self, grasp: RankedGrasp, approach: bool) -> NDArray[np.float64] | None:
         return grasp.world_from_gripper_approach if approach else None

@@ -12,7 +12,7 @@ objects and calls give the same scenes and clouds.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -223,18 +223,21 @@ class RobotCell:
         self,
         world_from_gripper: NDArray[np.float64],
         approach: NDArray[np.float64] | None = None,
+        on_phase: Callable[[str], None] | None = None,
     ) -> ExecutionResult:
         """Approaches, closes, lifts, shakes; then the gripper leaves and the objects come to rest.
 
         world_from_gripper: (4, 4) pre-grasp. approach: (4, 4) world_from_gripper at the stand-off,
         from where the path to the pre-grasp is tested for collision; None: no path is tested.
+        on_phase: called at the beginning of `approach`, `close`, `lift` and `drop`; may raise
+        CancelledError.
 
         Raises InvalidRequestError for something that is no pose, SimulationError if the physics
-        diverges; the scene is then as before.
+        diverges, CancelledError; the scene is then as before.
         """
         pose = checked_pose(world_from_gripper, "world_from_gripper")
         start = None if approach is None else checked_pose(approach, "approach")
-        verdict = PickCycle(self._world).carry_out(pose, start)
+        verdict = PickCycle(self._world).carry_out(pose, start, on_phase)
         lifted = sorted(verdict.lifted) if verdict.success else []
         spilled = [i for i in outside_bin(self._world) if i not in lifted]
         for index in spilled:

@@ -14,7 +14,7 @@ together about gravity changes nothing.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -35,6 +35,9 @@ from .motion import (
 )
 from .start_collision import approach_path, start_depths
 from .world import GRIPPER, SCENERY, World
+
+OnPhase = Callable[[str], None]
+"""(name of the phase that begins)."""
 
 
 class Reason(StrEnum):
@@ -107,17 +110,22 @@ def judge(
     graspable: Collection[int] | None = None,
     approach: NDArray[np.float64] | None = None,
     settings: TrialSettings | None = None,
+    on_phase: OnPhase | None = None,
 ) -> Verdict:
     """Try one grasp in the world as it is now and leave the world as the attempt leaves it.
 
     world_from_gripper: pre-grasp (4, 4). approach: approach pose (4, 4), or None for no test of
         the way there.
     graspable: objects that count; None means all that are present and no obstacles.
+    on_phase: called at the beginning of `approach`, `close` and `lift`; may raise, which leaves
+        the world as it is then.
     Ends as soon as the outcome is decided. After a rejected start or an instability the world is
     as before.
     """
     settings = settings or TrialSettings()
+    tell = on_phase or _nobody
     before = world.save()
+    tell("approach")
     depth = float(start_depths(world, world_from_gripper[None])[0])
     if depth > settings.max_depth:
         return Verdict(False, Reason.START_COLLISION, depth=depth)
@@ -130,7 +138,7 @@ def judge(
     goals = set(world.present) - world.obstacles
     if graspable is not None:
         goals &= set(graspable)
-    verdict = _attempt(world, world_from_gripper, goals, depth, settings)
+    verdict = _attempt(world, world_from_gripper, goals, depth, settings, tell)
     if verdict.reason is Reason.UNSTABLE:
         world.restore(before)
     return verdict
@@ -142,7 +150,9 @@ def _attempt(
     goals: set[int],
     depth: float,
     settings: TrialSettings,
+    tell: OnPhase,
 ) -> Verdict:
+    tell("close")
     height = world.object_poses()[:, 2, 3]
     world.clear_warnings()
     world.place_gripper(pose)
@@ -152,6 +162,7 @@ def _attempt(
     pull = _BinPull(world, settings.bin_weight)
     at_closing = bool(watch.held)
     if at_closing and not world.unstable():
+        tell("lift")
         _lift(world, pose, settings, lambda: watch() and pull())
     if world.unstable():
         return Verdict(False, Reason.UNSTABLE, depth=depth)
@@ -178,6 +189,10 @@ def _attempt(
         depth=depth,
         extra=len(lifted) - (target is not None),
     )
+
+
+def _nobody(phase: str) -> None:
+    """Stand in for a listener."""
 
 
 def _lift(world: World, pose: NDArray[np.float64], settings: TrialSettings, watch: Watch) -> None:
