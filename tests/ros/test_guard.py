@@ -272,6 +272,34 @@ def test_a_fault_in_a_transition_is_a_failure(
     assert state() == State.PRIMARY_STATE_ACTIVE
 
 
+def test_two_servers_share_a_process(pair: Pair) -> None:
+    """Name, namespace and context are arguments."""
+    values = {"model": "quick", "device": "cpu", "gripper": "robotiq_3f"}
+    other = GraspServer(
+        "second",
+        factory=server_double.make,
+        context=pair.node.context,
+        namespace="elsewhere",
+        parameter_overrides=[Parameter(name, value=value) for name, value in values.items()],
+    )
+    assert other.get_fully_qualified_name() == "/elsewhere/second"
+    executor = pair.server.executor
+    assert executor is not None
+    executor.add_node(other)
+    other.start()
+    cloud = stamped_cloud(pair.node, table_points())
+    request = SynthesizeGrasps.Request(num_grasps=1, cloud=cloud)
+
+    def gripper() -> str:
+        name = "/elsewhere/synthesize_grasps"
+        return pair.call(SynthesizeGrasps, name, request).grasps.gripper
+
+    assert until(lambda: gripper() == "robotiq_3f")
+    assert pair.synthesize().grasps.gripper == "robotiq_2f85"
+    other.close()
+    executor.remove_node(other)
+
+
 def test_every_callback_is_among_those_above(pair: Pair) -> None:
     """What is added to the node has to be added here."""
     covered = {

@@ -29,6 +29,7 @@ from megrasp_ros.errors import BinEmptyError, ConfigureError, NotActiveError, de
 from megrasp_ros.lifecycle import GuardedLifecycleNode
 from megrasp_ros.logs import forward_logs
 from megrasp_ros.process import StopSignals, run_node
+from megrasp_ros.shared_memory import shared_memory_warning
 from megrasp_ros.waiting import wake_when
 
 from . import parameters
@@ -367,6 +368,9 @@ def main(factory: Factory = load_synthesizer, signals: StopSignals | None = None
         node = GraspServer(factory=factory)
         forward_logs(logging.getLogger("megrasp_core"), node.get_logger())
         forward_logs(logging.getLogger("megrasp_ros"), node.get_logger())
+        small = shared_memory_warning()
+        if small:
+            node.get_logger().warning(small)
         return node
 
     run_node(make, threads=6, signals=signals)

@@ -162,6 +162,22 @@ def test_a_cloud_from_the_future_on_the_topic_is_error_101(server: Client) -> No
     assert "ahead of this node's clock" in answer.error_msg
 
 
+def test_without_a_clock_the_age_of_clouds_is_not_known(server: Client) -> None:
+    assert not server.parameters(use_sim_time=True)
+    try:
+        with camera(server, POINTS):
+            answer = server.synthesize(num_grasps=1)
+            assert answer.error_code == ErrorCode.STALE_CLOUD, answer.error_msg
+            assert "use_sim_time is true and no /clock" in answer.error_msg
+            # Of a cloud in the request no age is asked.
+            assert server.synthesize(num_grasps=1, cloud=cloud_of(server)).success
+            assert not server.parameters(cloud_max_age=0.0)
+            assert server.synthesize(num_grasps=1).success
+    finally:
+        assert not server.parameters(use_sim_time=False, cloud_max_age=5.0)
+    assert still_serves(server)
+
+
 @pytest.mark.parametrize(
     ("values", "text"),
     [

@@ -1,0 +1,52 @@
+"""Requests are checked, and a large one within its time."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Point, Pose
+from megrasp_msgs.srv import SynthesizeGrasps
+
+from megrasp_core.errors import InvalidRequestError, RequestTimeoutError
+from megrasp_ros.server.requests import checked_request
+
+SETTINGS: Any = SimpleNamespace(
+    max_num_grasps=100, max_tilt=np.pi, request_timeout=60.0, region=None
+)
+
+
+def poses(count: int) -> list[Pose]:
+    made = [Pose(position=Point(x=float(i))) for i in range(count)]
+    for pose in made:
+        pose.orientation.w = 1.0
+    return made
+
+
+def test_excluded_poses_are_read_in_one_go() -> None:
+    request = checked_request(SynthesizeGrasps.Request(exclude=poses(3)), SETTINGS)
+    excluded = request.excluded(lambda: None)
+    assert excluded.shape == (3, 4, 4)
+    np.testing.assert_array_equal(excluded[:, 0, 3], [0.0, 1.0, 2.0])
+    wrong = poses(3)
+    wrong[1].orientation.w = 0.0
+    request = checked_request(SynthesizeGrasps.Request(exclude=wrong), SETTINGS)
+    with pytest.raises(InvalidRequestError, match=r"exclude\[1\] is .*unit quaternion"):
+        request.excluded(lambda: None)
+
+
+def test_reading_many_poses_ends_with_the_time_of_the_request() -> None:
+    request = checked_request(SynthesizeGrasps.Request(exclude=poses(5000)), SETTINGS)
+    asked = 0
+
+    def check() -> None:
+        nonlocal asked
+        asked += 1
+        if asked == 3:
+            raise RequestTimeoutError("over")
+
+    with pytest.raises(RequestTimeoutError):
+        request.excluded(check)
+    assert asked == 3
