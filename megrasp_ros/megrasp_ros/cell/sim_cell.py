@@ -223,7 +223,7 @@ class SimCell(Node):
                 raise CancelledError(f"the goal was cancelled before the phase {phase!r}")
             handle.publish_feedback(ExecuteGrasp.Feedback(phase=phase))
 
-        outcome = self._cell.execute(pose, approach, begin)
+        outcome = self._cell.execute(pose, approach, on_phase=begin)
         self._scene_changed = self.get_clock().now()
         return outcome
 

@@ -260,10 +260,10 @@ def test_phases_are_told_and_an_attempt_can_be_broken_off_in_each(cell):
                 raise CancelledError("enough")
 
         with pytest.raises(CancelledError, match="enough"):
-            cell.execute(pose, approach, stop)
+            cell.execute(pose, approach, on_phase=stop)
         assert (cell.version, cell.objects_left) == (0, 2)
         for name, place in cell.object_poses().items():
             np.testing.assert_allclose(place, before[name], atol=1e-12)
     told: list[str] = []
-    assert cell.execute(pose, approach, told.append).success
+    assert cell.execute(pose, approach, on_phase=told.append).success
     assert told == ["approach", "close", "lift", "drop"]

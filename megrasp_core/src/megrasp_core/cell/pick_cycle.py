@@ -68,6 +68,7 @@ class PickCycle:
         self,
         world_from_gripper: NDArray[np.float64],
         approach: NDArray[np.float64] | None = None,
+        *,
         on_phase: Callable[[str], None] | None = None,
     ) -> Verdict:
         """Approach, close, lift, shake; what was lifted leaves the scene, the gripper too, and the

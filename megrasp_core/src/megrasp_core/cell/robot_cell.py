@@ -223,6 +223,7 @@ class RobotCell:
         self,
         world_from_gripper: NDArray[np.float64],
         approach: NDArray[np.float64] | None = None,
+        *,
         on_phase: Callable[[str], None] | None = None,
     ) -> ExecutionResult:
         """Approaches, closes, lifts, shakes; then the gripper leaves and the objects come to rest.
@@ -237,7 +238,7 @@ class RobotCell:
         """
         pose = checked_pose(world_from_gripper, "world_from_gripper")
         start = None if approach is None else checked_pose(approach, "approach")
-        verdict = PickCycle(self._world).carry_out(pose, start, on_phase)
+        verdict = PickCycle(self._world).carry_out(pose, start, on_phase=on_phase)
         lifted = sorted(verdict.lifted) if verdict.success else []
         spilled = [i for i in outside_bin(self._world) if i not in lifted]
         for index in spilled:
