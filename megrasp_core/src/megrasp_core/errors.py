@@ -90,6 +90,19 @@ class ModelError(MegraspError):
     code = 300
 
 
+class MissingPackageError(MegraspError):
+    """A Python package that only some commands need is not installed."""
+
+    code = 302
+
+    def __init__(self, package: str, extra: str, purpose: str) -> None:
+        super().__init__(
+            f"the package {package} is not installed; expected it for {purpose}. Run "
+            f"`pip install 'megrasp-core[{extra}]'`."
+        )
+        self.package = package
+
+
 class TrainingError(MegraspError):
     """A training run cannot go on."""
 

@@ -4,6 +4,7 @@ from .farthest import farthest_from_centroid, farthest_points
 from .mesh import Mesh, joined
 from .rays import Hits, RayScene
 from .sampling import SurfaceSample, sample_stratified, sample_uniform
+from .surfaces import SurfaceScene
 from .thinning import thinned
 
 __all__ = [
@@ -11,6 +12,7 @@ __all__ = [
     "Mesh",
     "RayScene",
     "SurfaceSample",
+    "SurfaceScene",
     "farthest_from_centroid",
     "farthest_points",
     "joined",
