@@ -359,9 +359,35 @@ def test_help_has_an_example(capsys, args):
 def test_help_imports_nothing_heavy():
     script = (
         "import sys\nfrom megrasp_core.cli import main\nmain(['--help'])\n"
-        "print(sorted({'torch', 'mujoco', 'open3d', 'scipy'} & set(sys.modules)))"
+        "print(sorted({'torch', 'mujoco', 'open3d', 'scipy', 'viser'} & set(sys.modules)))"
     )
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )
     assert done.stdout.strip().endswith("[]")
+
+
+def test_a_synthesis_loads_nothing_that_only_other_commands_need():
+    script = (
+        "import sys\nfrom megrasp_core.synthesizer import GraspSynthesizer\n"
+        "GraspSynthesizer.load(gripper='robotiq_2f85')\n"
+        "unneeded = {'e3nn', 'matplotlib', 'open3d', 'ray', 'scipy.optimize', 'viser'}\n"
+        "print(sorted(unneeded & set(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_reader_that_has_enough_is_no_error():
+    """As in `megrasp data stats --help | head -1`: nothing is left to write to."""
+    script = (
+        "import os, sys\nfrom megrasp_core.cli import main\n"
+        "read, write = os.pipe()\nos.dup2(write, 1)\nos.close(read)\n"
+        "sys.exit(main(['gripper', 'list']))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], stderr=subprocess.PIPE, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
