@@ -15,7 +15,9 @@ trap 'rm -rf "$scratch"' EXIT
 python="$scratch/venv/bin/python"
 read -r -a torch_args <<<"${MEGRASP_TORCH_ARGS:-}"
 
-run() { printf '$ %s\n' "$(printf '%q ' "$@" | sed "s#$scratch#SCRATCH#g; s#$root#.#g")"; "$@"; }
+# What is printed does not name the folder, which is another one each time.
+exec > >(sed "s#$scratch#SCRATCH#g")
+run() { printf '$ %s\n' "$*"; "$@"; }
 pip() { "$python" -m pip --disable-pip-version-check -qq "$@"; }
 
 # Neither the checkout nor anything that a shell of the project sets may help.
@@ -51,7 +53,7 @@ points = np.stack([x, y, z], -1).reshape(-1, 3) + rng.normal(0.0, 0.0005, (z.siz
 np.savez("cloud.npz", points=points, viewpoint=[0.0, 0.0, 0.8])
 PY
 megrasp="$scratch/venv/bin/megrasp"
-run "$python" -c "import megrasp_core; print(megrasp_core.__file__.replace('$scratch', 'SCRATCH'))"
+run "$python" -c "import megrasp_core; print(megrasp_core.__file__)"
 run "$megrasp" gripper list
 run "$megrasp" synthesize cloud.npz --gripper robotiq_2f85 --seed 1 --out grasps.json --picture grasps.png
 ls -l grasps.json grasps.png | awk '{print $5, $9}'

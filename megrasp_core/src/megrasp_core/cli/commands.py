@@ -26,9 +26,11 @@ from .gripper.inspect import check, listed, render, show
 from .gripper.new import new, score_wizard
 from .gripper.postures import postures
 from .gripper.sample import sample
+from .gripper.view import view as view_gripper
 from .objects import generate
 from .synthesize import synthesize
 from .train import train
+from .view import view
 
 __all__ = ["COMMANDS", "app"]
 
@@ -38,6 +40,7 @@ Command = Callable[..., int]
 COMMANDS: dict[str, Command | tuple[str, dict[str, Command]]] = {
     "demo": demo,
     "synthesize": synthesize,
+    "view": view,
     "gripper": (
         "List, show, check, draw and add grippers.",
         {
@@ -45,6 +48,7 @@ COMMANDS: dict[str, Command | tuple[str, dict[str, Command]]] = {
             "show": show,
             "check": check,
             "render": render,
+            "view": view_gripper,
             "new": new,
             "sample": sample,
             "fidelity": fidelity,

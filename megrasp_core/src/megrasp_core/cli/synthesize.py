@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from megrasp_core.pointcloud import Cloud, Plane
     from megrasp_core.synthesizer import Synthesis
 
-__all__ = ["synthesize"]
+__all__ = ["assumed_sensor", "direction_down", "length_factor", "sensor_place", "synthesize"]
 
 LOGGER = logging.getLogger(__name__)
 Vector = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
@@ -86,7 +86,7 @@ def synthesize(
         out: grasps.json.
         picture: PNG of the cloud and the best grasps.
     """
-    down = _gravity(frame, gravity, top_down)
+    down = direction_down(frame, gravity, top_down)
     box, walls = (None, True) if region is None else read_region(region)
     from megrasp_core.pointcloud import check_view, read_cloud
     from megrasp_core.synthesizer import GraspSynthesizer, SynthesisRequest
@@ -107,13 +107,13 @@ def synthesize(
         seed=seed,
         keep_all=all,
     )
-    points = read_cloud(cloud).scaled(_factor(scale))
-    seen_from = _sensor(points, frame, sensor)
+    points = read_cloud(cloud).scaled(length_factor(scale))
+    seen_from = sensor_place(points, frame, sensor)
     check_view(
         points.points, sensor=seen_from, gravity=down, region=box, optical=frame == "optical"
     )
     if seen_from is None:
-        seen_from = _assumed_sensor(points, down)
+        seen_from = assumed_sensor(points, down)
     request = dataclasses.replace(request, sensor=seen_from)
     synthesizer = GraspSynthesizer.load(model, gripper, device=device, threads=threads)
     with progress_bar(None, "synthesize") as bar:
@@ -137,9 +137,14 @@ def synthesize(
     return 0 if any(grasp.collision_free for grasp in result.grasps) else 1
 
 
-def _gravity(
+def direction_down(
     frame: str, gravity: tuple[float, float, float] | None, top_down: bool
 ) -> tuple[float, float, float]:
+    """Where down is in the frame of the cloud, from what was given.
+
+    Raises:
+        InvalidRequestError, GravityError: it does not go together, or is not known.
+    """
     if top_down and frame != "optical":
         raise InvalidRequestError(
             "--top-down was given with --frame world; expected it with --frame optical only. In a "
@@ -174,7 +179,12 @@ def _floor(numbers: tuple[float, ...] | None) -> Plane | float | None:
     return Plane(np.asarray(numbers[:3]) / length, numbers[3] / length)
 
 
-def _factor(scale: float) -> float:
+def length_factor(scale: float) -> float:
+    """A usable scale.
+
+    Raises:
+        InvalidRequestError: it is none.
+    """
     if not (np.isfinite(scale) and scale > 0):
         raise InvalidRequestError(
             f"--scale {scale} was given; expected metres per unit of the file, for example 0.001 "
@@ -183,9 +193,10 @@ def _factor(scale: float) -> float:
     return scale
 
 
-def _sensor(
+def sensor_place(
     cloud: Cloud, frame: str, sensor: tuple[float, float, float] | None
 ) -> np.ndarray | None:
+    """Where the sensor was, (3,) or (N, 3), None where nothing says it."""
     if sensor is not None:
         return np.asarray(sensor)
     if cloud.viewpoint is not None:
@@ -193,7 +204,8 @@ def _sensor(
     return np.zeros(3) if frame == "optical" else None
 
 
-def _assumed_sensor(cloud: Cloud, down: tuple[float, float, float]) -> np.ndarray:
+def assumed_sensor(cloud: Cloud, down: tuple[float, float, float]) -> np.ndarray:
+    """A place (3,) over the cloud, which a warning states."""
     direction = np.asarray(down) / np.linalg.norm(down)
     place = cloud.points.mean(axis=0) - ASSUMED_HEIGHT * direction
     LOGGER.warning(
