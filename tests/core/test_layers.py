@@ -24,6 +24,7 @@ LAYERS = (
     {"ranking", "diffusion", "network", "storage", "simulation"},
     {"cell", "drawing", "synthesizer", "scenes", "library"},
     {"evaluation", "training", "self_labelling", "gripper_tools", "benchmarks"},
+    {"viewer"},
     {"cli"},
 )
 ROOMS = {

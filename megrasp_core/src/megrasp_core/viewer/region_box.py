@@ -22,7 +22,7 @@ EDGES = np.array([[0, 1], [2, 3], [4, 5], [6, 7], [0, 2], [1, 3], [4, 6], [5, 7]
                   [0, 4], [1, 5], [2, 6], [3, 7]])  # fmt: skip
 """Of the corners of an `OrientedBox`."""
 COLOUR = (210, 120, 20)
-NAME = "/region"
+NAME, HANDLES = "/region", "/region_handles"
 
 
 class RegionBox:
@@ -52,15 +52,18 @@ class RegionBox:
         self.walls = server.gui.add_checkbox("It is the inside of a bin", walls)
         size = (float(box.size[0]), float(box.size[1]), float(box.size[2]))
         self.size = server.gui.add_vector3("Edges (m)", size, min=(0.01,) * 3, step=0.005)
+        self.drag = server.gui.add_checkbox("Handles to drag it", False)
+        self._frame = server.scene.add_frame(NAME, show_axes=False, visible=used)
         self._handles = server.scene.add_transform_controls(
-            NAME, scale=0.5 * float(box.size.max()), depth_test=False, visible=used
+            HANDLES, scale=0.4 * float(box.size.max()), depth_test=False, visible=False
         )
-        move(self._handles, box.world_from_box)
+        self._place(box)
         self._draw()
-        self._handles.on_update(lambda _: self._changed())
+        self._handles.on_update(lambda _: self._dragged())
         self.size.on_update(lambda _: self._update())
         self.walls.on_update(lambda _: self._changed())
-        self.used.on_update(lambda _: self._update())
+        for switch in (self.used, self.drag):
+            switch.on_update(lambda _: self._update())
 
     @property
     def box(self) -> OrientedBox | None:
@@ -70,11 +73,11 @@ class RegionBox:
     @property
     def shape(self) -> OrientedBox:
         """The box, whether or not it counts."""
-        return OrientedBox(matrix_of(self._handles), np.asarray(self.size.value))
+        return OrientedBox(matrix_of(self._frame), np.asarray(self.size.value))
 
     def move_to(self, box: OrientedBox) -> None:
         """Put it somewhere else."""
-        move(self._handles, box.world_from_box)
+        self._place(box)
         self.size.value = (float(box.size[0]), float(box.size[1]), float(box.size[2]))
         self._update()
 
@@ -88,13 +91,21 @@ class RegionBox:
         }
         return json.dumps(content, indent=1) + "\n"
 
+    def _place(self, box: OrientedBox) -> None:
+        for node in (self._frame, self._handles):
+            move(node, box.world_from_box)
+
+    def _dragged(self) -> None:
+        move(self._frame, matrix_of(self._handles))
+        self._changed()
+
     def _update(self) -> None:
-        self._handles.visible = bool(self.used.value)
+        used = bool(self.used.value)
+        self._frame.visible, self._handles.visible = used, used and bool(self.drag.value)
         self._draw()
         self._changed()
 
     def _draw(self) -> None:
-        # In the frame of the handles, so that it moves with them.
         corners = OrientedBox(np.eye(4), np.asarray(self.size.value)).corners()
         self._scene.add_line_segments(
             f"{NAME}/edges", corners[EDGES].astype(np.float32), COLOUR, thickness=0.002

@@ -38,7 +38,7 @@ __all__ = ["Outcome", "SceneViewer"]
 
 MOST_POINTS = 300_000
 """Of a cloud, that are sent to the browser."""
-NEARNESS = 1.4
+NEARNESS = 0.9
 """Distance of the first look in extents of the cloud."""
 REJECTED = (190, 60, 60)
 PATHS = {"approach": (70, 110, 200), "retreat": (150, 90, 190)}
@@ -168,10 +168,10 @@ class SceneViewer:
             self.fingers = gui.add_slider("Close the fingers", 0.0, 1.0, 0.02, 0.0)
             self.details = gui.add_markdown("")
             self.do = gui.add_button("Execute it", visible=self._execute is not None)
-            self.paths = gui.add_checkbox("Approach and retreat", True)
-            self.forks = gui.add_checkbox("The others as forks", True)
-            self.meshes = gui.add_checkbox("The others as grippers", False)
-            self.frames = gui.add_checkbox("Frames of the gripper and the TCP", True)
+            self.paths = gui.add_checkbox("Approach, retreat", True)
+            self.forks = gui.add_checkbox("Others as forks", True)
+            self.meshes = gui.add_checkbox("Others as grippers", False)
+            self.frames = gui.add_checkbox("Frames, TCP", True)
         with gui.add_folder("Space", expand_by_default=False):
             self.spaces = {
                 key: gui.add_checkbox(label, False) for key, (label, _) in SPACES.items()
@@ -488,7 +488,7 @@ class SceneViewer:
                 "/others/forks",
                 fork(gripper, poses),
                 np.repeat(colours, 8, axis=0).reshape(-1, 2, 3).astype(np.uint8),
-                thickness=0.001,
+                thickness=0.002,
             )
         if poses and self.meshes.value:
             vertices, faces = joined(gripper.meshes("open"))
