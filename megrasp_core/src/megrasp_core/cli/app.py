@@ -7,7 +7,6 @@ Every command lies in a file of its own and imports what it needs when it runs, 
 from __future__ import annotations
 
 import logging
-import os
 import sys
 from collections.abc import Sequence
 
@@ -49,10 +48,6 @@ def main(args: Sequence[str] | None = None) -> int:
     except MegraspError as error:
         sys.stderr.write(f"megrasp: {error}\n")
         return 1 if isinstance(error, FAILURES) else 2
-    except BrokenPipeError:
-        # Who reads has enough, as `head` has. Python flushes at its exit, into nothing then.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except OSError as error:
         sys.stderr.write(f"megrasp: {error}; expected a path that can be read or written.\n")
         return 2
