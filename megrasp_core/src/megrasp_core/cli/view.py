@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -110,6 +111,8 @@ def serve(server: ViserServer, tick: Callable[[], object] | None = None) -> None
     """Say where the page is, then wait for Ctrl-C; `tick` is called now and then."""
     from megrasp_core.viewer import how_to_reach
 
+    # A browser that breaks off a connection is nothing to tell the user about.
+    logging.getLogger("websockets").setLevel(logging.CRITICAL)
     for line in how_to_reach(server):
         say(line)
     stop = threading.Event()

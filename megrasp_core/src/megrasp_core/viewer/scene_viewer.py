@@ -38,7 +38,7 @@ __all__ = ["Outcome", "SceneViewer"]
 
 MOST_POINTS = 300_000
 """Of a cloud, that are sent to the browser."""
-NEARNESS = 0.9
+NEARNESS = 1.0
 """Distance of the first look in extents of the cloud."""
 REJECTED = (190, 60, 60)
 PATHS = {"approach": (70, 110, 200), "retreat": (150, 90, 190)}
