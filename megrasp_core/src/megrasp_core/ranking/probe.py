@@ -149,7 +149,8 @@ def thinned(points: np.ndarray, spacing: float) -> np.ndarray:
 def closing_volume(
     points: np.ndarray, normals: np.ndarray, displacement: np.ndarray, tcp: np.ndarray
 ) -> ClosingVolume | None:
-    """Box between the finger surfaces that face each other along X and move towards each other.
+    """Box between the finger surfaces that face each other along X and move towards each other;
+    one of the two sides may stand still.
 
     Args:
         points: (C, 3) open surface in the gripper frame.
@@ -164,7 +165,12 @@ def closing_volume(
     if reach < 1e-3:
         return None
     side = np.sign(tcp[0] - points[:, 0])  # +1: on -X, has to move and to face +X
-    inward = (side * displacement[:, 0] > 0.25 * reach) & (side * normals[:, 0] > 0.5)
+    facing = side * normals[:, 0] > 0.5
+    inward = (side * displacement[:, 0] > 0.25 * reach) & facing
+    for own in (side > 0, side < 0):
+        if not (inward & own).any():
+            # A fixed jaw: what faces the moving one across the TCP.
+            inward |= own & facing & _opposite(points, inward, tcp)
     left, right = points[inward & (side > 0)], points[inward & (side < 0)]
     if len(left) < 3 or len(right) < 3:
         return None
@@ -186,6 +192,15 @@ def closing_volume(
         high=np.array([inner_right, y_high, deepest]),
         tip=tip,
     )
+
+
+def _opposite(points: np.ndarray, moving: np.ndarray, tcp: np.ndarray) -> np.ndarray:
+    """Which points lie at the TCP's height, within the width of the moving faces."""
+    if not moving.any():
+        return np.zeros(len(points), bool)
+    low, high = np.percentile(points[moving][:, 1], [2, 98])
+    across = (points[:, 1] >= low - 0.005) & (points[:, 1] <= high + 0.005)
+    return across & (np.abs(points[:, 2] - tcp[2]) < 0.02)
 
 
 def _beside(points: np.ndarray, tcp: np.ndarray) -> np.ndarray:

@@ -141,6 +141,9 @@ def _open(
         why = "widest posture whose pads still look at each other"
         return Finding("open", value, LIKELY, why, "--open")
     width = description.max_width or 0.0
+    if analysis.limited:
+        why = f"widest posture whose pads still look at each other: {1000 * width:.0f} mm"
+        return Finding("open", value, LIKELY, why, "--open")
     return Finding("open", value, SURE, f"the widest: {1000 * width:.0f} mm at the TCP", "--open")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -55,6 +56,15 @@ class DriveMotion:
         The default positions of a model are none: some lie outside the limits.
         """
         return np.clip(np.zeros(len(self.drives)), self.low, self.high)
+
+    def within(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> DriveMotion:
+        """Return the same motion with other ranges (n,) of the drives."""
+        out = copy.copy(self)
+        out.drives = [
+            replace(drive, low=float(a), high=float(b))
+            for drive, a, b in zip(self.drives, low, high, strict=True)
+        ]
+        return out
 
     @property
     def low(self) -> NDArray[np.float64]:
