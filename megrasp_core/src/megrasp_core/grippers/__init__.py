@@ -31,7 +31,7 @@ from .model import (
     quiet_mujoco,
 )
 from .model_file import MODEL_SUFFIXES, read_xml
-from .model_mistakes import check_spec
+from .model_mistakes import NO_SUCTION, check_spec
 from .posture import SETTLE_DAMPING
 from .registry import cad_folders, cad_twins, gripper_folders, list_grippers, load_gripper
 from .render import render_cloud
@@ -49,6 +49,7 @@ __all__ = [
     "KINDS",
     "MODEL_SUFFIXES",
     "NEAR_TCP",
+    "NO_SUCTION",
     "POSTURES",
     "Pose",
     "PostureDescription",

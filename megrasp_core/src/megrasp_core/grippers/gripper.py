@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cached_property, lru_cache
 from pathlib import Path
 
@@ -11,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from megrasp_core.errors import InvalidRequestError
+from megrasp_core.errors import DescriptionError, InvalidRequestError
 from megrasp_core.meshes import Mesh
 
 from .cache import recalled
@@ -180,6 +182,19 @@ class Gripper:
             )
         return groups
 
+    @contextmanager
+    def _explained(self, which: str) -> Iterator[None]:
+        """Turn what the renderer says of a gripper without a surface into a DescriptionError."""
+        try:
+            yield
+        except ValueError as error:
+            path = self.description.model_path
+            raise DescriptionError(
+                f"{path}: the {which} geometry cannot be rendered: {error}. Expected shapes that "
+                f"can be seen from outside; `megrasp gripper new {path.name}` takes visual shapes "
+                "where a model has no collision geometry"
+            ) from error
+
     @cached_property
     def _visual_meshes(self) -> list[BodyMesh]:
         return body_meshes(self.model, "visual")
@@ -199,13 +214,14 @@ class Gripper:
         if count < 1:
             raise InvalidRequestError(f"count is {count}; expected at least 1 point")
         poses = self.body_poses("open"), self.body_poses("closed")
-        return GripperClouds(
-            **recalled(
-                "clouds",
-                (RENDERER, count, seed, *poses, *geometry_arrays(self.model)),
-                lambda: vars(make_clouds(self.body_meshes(), *poses, count, seed)),
+        with self._explained("visual"):
+            return GripperClouds(
+                **recalled(
+                    "clouds",
+                    (RENDERER, count, seed, *poses, *geometry_arrays(self.model)),
+                    lambda: vars(make_clouds(self.body_meshes(), *poses, count, seed)),
+                )
             )
-        )
 
     def _make_tokens(self, count: int, seed: int) -> GripperTokens:
         if not 1 <= count <= TOKEN_CLOUD // 2:
@@ -228,5 +244,6 @@ class Gripper:
             return {"points": sample.points, "bodies": bodies[sample.mesh]}
 
         inputs = (RENDERER, spacing, poses, *geometry_arrays(self.model))
-        found = recalled("collision_points", inputs, make)
+        with self._explained("collision"):
+            found = recalled("collision_points", inputs, make)
         return found["points"], self.finger_groups[found["bodies"]]

@@ -22,6 +22,8 @@ AXIS_TOLERANCE = 1e-3
 SMALLEST = 0.004
 """A whole gripper (m) is larger."""
 
+NO_SUCTION = "suction tools are not supported; grippers need two fingers that close"
+
 MESH_SUFFIXES = (".stl", ".obj", ".msh")
 URDF_JOINTS = ("revolute", "continuous", "prismatic", "fixed")
 NAMED = {"robot": ("link", "joint"), "mujoco": ("worldbody//body", "worldbody//joint")}
@@ -94,7 +96,7 @@ def check_spec(spec: mujoco.MjSpec, path: Path) -> None:
     if not spec.joints:
         raise DescriptionError(
             f"{path}: the model has no moving joint; expected fingers on revolute, prismatic, "
-            "hinge or slide joints. Was it exported with its joints fixed?"
+            f"hinge or slide joints. Was it exported with its joints fixed? ({NO_SUCTION})"
         )
     for joint in spec.joints:
         where = f"{path}: joint '{joint.name}' of link '{joint.parent.name}'"

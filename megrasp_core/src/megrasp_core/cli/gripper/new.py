@@ -24,6 +24,10 @@ __all__ = ["new", "score_wizard"]
 Vector = Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")]
 Values = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")]
 Folders = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=FOLDER ...")]
+Links = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="LINK")]
+Arguments = Annotated[
+    tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME:=VALUE")
+]
 
 VECTORS = ("approach", "closing", "tcp")
 POSTURES = ("open", "closed")
@@ -44,11 +48,13 @@ def new(
     root: str | None = None,
     scale: float | None = None,
     package: Folders = (),
+    without: Links = (),
+    xacro_arg: Arguments = (),
     licence: str | None = None,
     source: str | None = None,
     yes: Flag = False,
 ) -> int:
-    """Make a gripper.yaml, and a picture to check it by, from a URDF or MJCF.
+    """Make a gripper.yaml, and a picture to check it by, from a URDF, xacro or MJCF.
 
     Moves the joints to find the fingers, the approach and closing axes, the TCP, the open and the
     closed posture; says how sure it is of each, and asks on a terminal about what it cannot tell.
@@ -57,7 +63,7 @@ def new(
     Try: megrasp gripper new my_gripper.urdf --out grippers/my_gripper
 
     Args:
-        model: URDF or MJCF (expand xacro files first).
+        model: URDF, xacro or MJCF.
         out: new folder: gripper.yaml, model.xml, meshes/, picture.png, report.json.
         name: registered name; by default that of the folder.
         display_name: name for people.
@@ -71,11 +77,13 @@ def new(
         root: link to cut the gripper out at, of a model that holds more.
         scale: metres in one unit of the model's lengths, such as 0.001.
         package: folders of ROS packages that meshes are named by.
+        without: a link whose shapes are no part of the gripper, such as a safety hull; repeatable.
+        xacro_arg: an argument of a xacro file; repeatable.
         licence: licence of the model.
         source: where the model comes from.
         yes: never ask; take what is found.
     """
-    from megrasp_core.gripper_tools.wizard.prepare import SourceOptions
+    from megrasp_core.gripper_tools.wizard.source import SourceOptions
     from megrasp_core.gripper_tools.wizard.wizard import ModelRequest, new_gripper
 
     packages = {key: Path(value) for key, value in _pairs(package, "--package").items()}
@@ -83,7 +91,7 @@ def new(
     request = ModelRequest(
         model=model,
         out=out,
-        source=SourceOptions(packages, scale, root),
+        source=SourceOptions(packages, scale, root, without, _arguments(xacro_arg)),
         overrides=_overrides(kind, approach, closing, tcp, tip_depth, open, closed),
         name=name,
         display_name=display_name,
@@ -188,6 +196,16 @@ def _pairs(items: tuple[str, ...], option: str) -> dict[str, str]:
         if not (key and equals and value):
             raise InvalidRequestError(f"{option} got '{item}'; expected name=value")
         out[key] = value
+    return out
+
+
+def _arguments(items: tuple[str, ...]) -> dict[str, str]:
+    out = {}
+    for item in items:
+        name, sign, value = item.partition(":=")
+        if not (name and sign):
+            raise InvalidRequestError(f"--xacro-arg got '{item}'; expected name:=value")
+        out[name] = value
     return out
 
 

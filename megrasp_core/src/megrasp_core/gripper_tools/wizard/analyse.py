@@ -60,7 +60,8 @@ class Analysis:
     """What a description needs, in the model frame.
 
     `pads`: of the open and the closed posture, None for hands. `limited`: whether the gripper
-    opens farther than to the open posture, but its pads look past each other there.
+    opens farther than to the open posture, but its pads look past each other there. `tcp_rule`:
+    how the TCP was found where the first rule gave one outside the finger groups.
     """
 
     fingers: tuple[Finger, ...]
@@ -70,6 +71,7 @@ class Analysis:
     pads: tuple[Pad | None, Pad | None]
     kind: str
     limited: bool = False
+    tcp_rule: str | None = None
 
     @property
     def hand(self) -> bool:

@@ -109,6 +109,8 @@ def _tcp(analysis: Analysis, overrides: Overrides) -> Finding:
     value = _vector(analysis.tcp)
     if overrides.tcp is not None:
         return Finding("tcp", value, SURE, GIVEN, "--tcp")
+    if analysis.tcp_rule is not None:
+        return Finding("tcp", value, LIKELY, analysis.tcp_rule, "--tcp")
     if analysis.hand:
         why = "where thumb and fingertips meet as they curl"
         return Finding("tcp", value, LIKELY, why, "--tcp")

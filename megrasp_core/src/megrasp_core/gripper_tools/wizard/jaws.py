@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from megrasp_core.errors import DescriptionError
+from megrasp_core.grippers import NO_SUCTION
 
 from .fingers import Finger, joint_axes
 from .mechanism import Mechanism
@@ -17,6 +18,9 @@ from .motion import DriveMotion
 from .opposition import Opposition, divisions, facing
 
 MAX_DRIVES = 6
+ALIKE_MOTION = 0.1
+"""Fingers whose ways differ by less than this share of them do not close."""
+
 ALIKE = 0.02
 """Divisions whose scores (cosines) differ by less oppose alike."""
 
@@ -63,6 +67,7 @@ def divide_jaws(
     """Divide the fingers into groups by how they move from `start` to `end` (n,)."""
     way = [motion.poses(lengths) for lengths in (start, end)]
     tips = np.array([[finger.tip_at(poses) for finger in fingers] for poses in way])
+    _refuse_alike(fingers, tips)
     ways = [_way(division, fingers, tips) for division in divisions(fingers)]
     scores = sorted(way.score for way in ways)
     # Fingers around a centre oppose alike in several ways: then along an axis of the model, the
@@ -72,6 +77,17 @@ def divide_jaws(
     margin = 1.0 - (max(scores[-2], 0.0) / max(scores[-1], 1e-9) if len(scores) > 1 else 0.0)
     middle = tips[0].mean(axis=0)
     return Opposition(best.groups, start, end, best.axis, middle, best.facing, margin, False)
+
+
+def _refuse_alike(fingers: Sequence[Finger], tips: NDArray[np.float64]) -> None:
+    """Refuse parts that all move the same way, as the cups of a suction tool do."""
+    moved = tips[1] - tips[0]
+    apart = float(np.linalg.norm(moved - moved.mean(axis=0), axis=1).max())
+    if apart < ALIKE_MOTION * float(np.linalg.norm(moved, axis=1).max()):
+        raise DescriptionError(
+            f"{', '.join(finger.name for finger in fingers)} all move the same way and close on "
+            f"nothing: {NO_SUCTION}"
+        )
 
 
 def _openness(

@@ -80,7 +80,8 @@ def _lean(
     quarter = np.pi / 2.0
     folded = np.mod(angle, quarter)
     histogram = np.histogram(folded, BINS, (0.0, quarter), weights=area)[0]
-    window = sum(np.roll(histogram, shift) for shift in range(-SMOOTH, SMOOTH + 1))
+    shifts = range(-SMOOTH, SMOOTH + 1)
+    window = np.sum([np.roll(histogram, shift) for shift in shifts], axis=0)
     peak = int(np.argmax(window))
     if window[peak] < CLEAR * area.sum():
         return None

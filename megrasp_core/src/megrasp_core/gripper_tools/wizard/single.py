@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from megrasp_core.errors import DescriptionError
+from megrasp_core.grippers import NO_SUCTION
 
 from .fingers import Finger, joint_axes
 from .mechanism import Mechanism
@@ -16,7 +17,6 @@ from .motion import DriveMotion
 from .opposition import Opposition
 from .profile import CELL, across, room_ahead
 from .solids import Solids
-from .suction import NO_SUCTION
 
 OUTER = 0.65
 """The jaw meets the fixed one with what lies beyond this share of its length from its joint; at

@@ -35,6 +35,11 @@ class Solids:
             for item in [*solid, *(m for m in shown if m.body not in owners)]
         ]
 
+    @property
+    def count(self) -> int:
+        """Number of shapes."""
+        return len(self._planes)
+
     def share_inside(self, points: NDArray[np.float64], poses: NDArray[np.float64]) -> float:
         """Return which share of points (N, 3), model frame, lies inside any shape.
 
@@ -42,11 +47,25 @@ class Solids:
             points: in the model frame.
             poses: model_from_body (nbody, 4, 4).
         """
-        inside = np.zeros(len(points), bool)
-        for body, normals, offsets in self._planes:
-            local = (points - poses[body, :3, 3]) @ poses[body, :3, :3]
-            inside |= ((local @ normals.T - offsets) < -INSIDE).all(axis=1)
+        inside = self._inside(points, poses).any(axis=0)
         return float(inside.mean()) if len(points) else 0.0
+
+    def shares_inside(
+        self, points: NDArray[np.float64], poses: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return which share of points (N, 3) lies inside each shape (count,)."""
+        if not len(points):
+            return np.zeros(self.count)
+        return self._inside(points, poses).mean(axis=1)
+
+    def _inside(
+        self, points: NDArray[np.float64], poses: NDArray[np.float64]
+    ) -> NDArray[np.bool_]:
+        out = np.zeros((self.count, len(points)), bool)
+        for index, (body, normals, offsets) in enumerate(self._planes):
+            local = (points - poses[body, :3, 3]) @ poses[body, :3, :3]
+            out[index] = ((local @ normals.T - offsets) < -INSIDE).all(axis=1)
+        return out
 
 
 def _planes(vertices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

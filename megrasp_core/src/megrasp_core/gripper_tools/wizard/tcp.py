@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from .axes import Axes
@@ -138,6 +140,20 @@ class PadFinder:
         return None if pad is None else replace(pad, opposite=False)
 
 
+class FoundGroups(Protocol):
+    """What an analysis holds of groups and axes."""
+
+    @property
+    def opposition(self) -> Opposition:
+        """The groups."""
+        ...
+
+    @property
+    def axes(self) -> Axes:
+        """The axes."""
+        ...
+
+
 @dataclass(frozen=True)
 class Upright:
     """Pads of fingers turned upright, and finger's name -> the motion (4, 4) that turned it from
@@ -182,6 +198,31 @@ def find_tcp(
     middle = opened.middle if opened.opposite else _centre(motion, opposition, axes, opened)
     beside = middle - (middle @ axes.approach) * axes.approach
     return _on_axis(beside + level * axes.approach, axes)
+
+
+def other_tcps(
+    mechanism: Mechanism, motion: DriveMotion, found: FoundGroups
+) -> list[tuple[str, NDArray[np.float64]]]:
+    """Return further TCPs (3,) in the model frame with how they were found, the likeliest first:
+    for hands and tips that pass beside each other.
+    """
+    opposition, axes = found.opposition, found.axes
+    out = []
+    for name, lengths in (("closed", opposition.closed), ("open", opposition.open)):
+        poses = motion.poses(lengths)
+        sides = [mechanism.surface(poses, opposition.tips(side)) for side in (0, 1)]
+        distance, index = KDTree(sides[1]).query(sides[0])
+        nearest = int(np.argmin(distance))
+        between = (sides[0][nearest] + sides[1][np.asarray(index)[nearest]]) / 2.0
+        out.append((f"half-way between the {name} fingertips where they are nearest", between))
+        tips = [
+            np.mean([finger.tip_at(poses) for finger in group], axis=0)
+            if group
+            else sides[side].mean(axis=0)
+            for side, group in enumerate(opposition.groups)
+        ]
+        out.append((f"in the middle of the {name} fingertips", (tips[0] + tips[1]) / 2.0))
+    return [(rule, _on_axis(point, axes)) for rule, point in out]
 
 
 def _turning_level(finder: PadFinder, otherwise: float) -> float:
