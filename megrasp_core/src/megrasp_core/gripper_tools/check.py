@@ -118,7 +118,7 @@ def _check_geometry(gripper: Gripper, result: GripperCheck) -> None:
         )
     if bare or not (_palm_is_behind(gripper, result) and _fingers_reach(gripper, result)):
         return
-    x = [gripper.pad_points("open", group)[:, 0].mean() for group in (0, 1)]
+    x = [_place_along_x(gripper, group) for group in (0, 1)]
     if x[0] >= x[1]:
         result.errors.append(
             f"finger group 1 lies at x = {x[0]:.3f} m, group 2 at {x[1]:.3f} m; expected the "
@@ -157,6 +157,15 @@ def _check_geometry(gripper: Gripper, result: GripperCheck) -> None:
             f"max_width is {1000 * description.max_width:.1f} mm, but the open fingers leave "
             f"{1000 * width:.1f} mm at the TCP; expected no more than they leave"
         )
+
+
+def _place_along_x(gripper: Gripper, group: int) -> float:
+    """Return the mean x (m) of an open finger group, of its part at the TCP's height where it has
+    one: a fixed jaw's group is the whole palm.
+    """
+    points = gripper.pad_points("open", group)
+    level = np.abs(points[:, 2] - gripper.tcp[2]) < PAD_HALF_HEIGHT
+    return float(points[level if level.any() else slice(None), 0].mean())
 
 
 def _palm_is_behind(gripper: Gripper, result: GripperCheck) -> bool:

@@ -36,6 +36,9 @@ PARALLEL = np.radians(15.0)
 CLOSED_SHARE = 0.5
 """Where between open and closed turning fingers hold what they hold, as a share of the way."""
 
+REACHED = 0.004
+"""Open jaws reach so far (m) past the TCP at least."""
+
 LINKAGE_JOINTS = 2
 
 MEETING = 0.006
@@ -194,7 +197,7 @@ def find_tcp(
         elif all(len(f.moving) == 1 for group in opposition.groups for f in group):
             turned = _turning_level(finder, level)
             # Two open jaws must reach the TCP; with a single one the fixed one does.
-            level = min(level, turned) if all(opposition.groups) else turned
+            level = min(opened.tip - REACHED, turned) if all(opposition.groups) else turned
     middle = opened.middle if opened.opposite else _centre(motion, opposition, axes, opened)
     beside = middle - (middle @ axes.approach) * axes.approach
     return _on_axis(beside + level * axes.approach, axes)
