@@ -31,7 +31,7 @@ from .model import (
     quiet_mujoco,
 )
 from .model_file import MODEL_SUFFIXES, read_xml
-from .model_mistakes import NO_SUCTION, check_spec
+from .model_mistakes import NO_SUCTION, check_names, check_spec
 from .posture import SETTLE_DAMPING
 from .registry import cad_folders, cad_twins, gripper_folders, list_grippers, load_gripper
 from .render import render_cloud
@@ -63,6 +63,7 @@ __all__ = [
     "build_spec",
     "cad_folders",
     "cad_twins",
+    "check_names",
     "check_spec",
     "compile_spec",
     "free_name",

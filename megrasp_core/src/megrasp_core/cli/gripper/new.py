@@ -17,6 +17,7 @@ from megrasp_core.errors import InvalidRequestError
 if TYPE_CHECKING:
     from megrasp_core.gripper_tools.wizard.analyse import Overrides
     from megrasp_core.gripper_tools.wizard.findings import Finding
+    from megrasp_core.gripper_tools.wizard.score import Score
     from megrasp_core.gripper_tools.wizard.wizard import NewGripper
 
 __all__ = ["new", "score_wizard"]
@@ -109,6 +110,8 @@ def new(
 def score_wizard(
     names: tyro.conf.Positional[tuple[str, ...]] = (),
     folder: Path | None = None,
+    jaws: int | None = None,
+    seed: int = 1,
     out: Path | None = None,
     keep: Path | None = None,
 ) -> int:
@@ -116,14 +119,16 @@ def score_wizard(
 
     By default the real ones of the assets. Right are closing and approach axis within 10 degrees
     for jaws and 25 for hands, the TCP within 1 cm and 3 cm. Exit code 1 where less than 11 of 13
-    are right.
+    are right, of drawn jaws less than 38 of 40.
 
-    Try: megrasp gripper score-wizard --out docs/results/gripper_wizard.json
+    Try: megrasp gripper score-wizard --jaws 40 --out jaws.json
 
     Args:
         names: grippers; all of the folder by default.
         folder: holds facts.json and models, or folders with a gripper.yaml that are taken as
             truth; by default the folder grippers of MEGRASP_ASSETS.
+        jaws: draw so many single, angular, vise and limitless jaws instead.
+        seed: of the drawn jaws.
         out: JSON with a row per gripper.
         keep: folder to keep the made grippers and their pictures in.
     """
@@ -131,9 +136,16 @@ def score_wizard(
         FACTS_FILE,
         score_assets,
         score_descriptions,
-        table,
+        score_plain_jaws,
     )
 
+    if jaws is not None:
+        if jaws < 1 or names or folder is not None:
+            raise InvalidRequestError(
+                f"--jaws {jaws} draws its own grippers; expected at least 1, and neither names "
+                "nor --folder"
+            )
+        return _show_score(score_plain_jaws(jaws, seed, keep, say), out)
     assets = os.environ.get("MEGRASP_ASSETS")
     chosen = folder or (Path(assets) / "grippers" if assets else None)
     if chosen is None or not chosen.is_dir():
@@ -142,7 +154,12 @@ def score_wizard(
             "a folder: set MEGRASP_ASSETS or --folder"
         )
     run = score_assets if (chosen / FACTS_FILE).is_file() else score_descriptions
-    score = run(chosen, names, keep, say)
+    return _show_score(run(chosen, names, keep, say), out)
+
+
+def _show_score(score: Score, out: Path | None) -> int:
+    from megrasp_core.gripper_tools.wizard.score import table
+
     for line in table(score):
         say(line)
     if out is not None:

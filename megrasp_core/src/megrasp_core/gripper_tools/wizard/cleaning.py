@@ -117,8 +117,16 @@ def limit_slides(spec: mujoco.MjSpec, notes: Notes) -> None:
 
 
 def _mocap(spec: mujoco.MjSpec, notes: Notes) -> None:
-    """Delete bodies that a user drags about in a viewer, and what ties others to them."""
-    gone = [body.name for body in spec.bodies if body.mocap]
+    """Delete bodies that a user drags about in a viewer, and what ties others to them; one that
+    carries joints is the gripper itself.
+    """
+    carriers = {_topmost(joint.parent).name for joint in spec.joints}
+    dragged = [body for body in spec.bodies if body.mocap]
+    gone = [body.name for body in dragged if body.name not in carriers]
+    for body in dragged:
+        if body.name in carriers:
+            body.mocap = False
+            notes.add(f"mocap body '{body.name}' carries the fingers: taken as mounted")
     if not gone:
         return
     for equality in [e for e in spec.equalities if e.name1 in gone or e.name2 in gone]:

@@ -16,7 +16,7 @@ ENCLOSED = 0.5
 """A shape of the palm that holds this share of every finger's tip is a hull around the gripper."""
 
 APART = 0.003
-"""A link this far (m) from every other one is fastened to nothing."""
+"""A link this far (m) from the rest of the palm is fastened to nothing."""
 
 MARKER = 0.08
 """Longest edge (m) of a marker."""
@@ -58,20 +58,21 @@ def _hulls(
         solids = Solids(model, [body])
         if not solids.count:
             continue
-        shares = [
-            solids.shares_inside(mechanism.surface(poses, branch.tip), poses)
-            for branch in mechanism.branches
-        ]
-        inside = np.min(shares, axis=0) >= ENCLOSED
+        inside = _enclosing(mechanism, poses, solids)
         if not inside.any() or left <= inside.sum():
             continue
         left -= int(inside.sum())
         own = spec.body(name)
         solid = [geom for geom in own.geoms if geom.contype or geom.conaffinity]
         bare = len(solid) == len(own.geoms)
-        for geom, gone in zip(solid or list(own.geoms), inside, strict=False):
-            if gone:
-                spec.delete(geom)
+        shown = [geom for geom in own.geoms if geom not in solid]
+        gone = [geom for geom, away in zip(solid or shown, inside, strict=False) if away]
+        seen = Solids(model, [body], seen=True)
+        if solid and seen.count == len(shown):
+            around = _enclosing(mechanism, poses, seen)
+            gone += [geom for geom, away in zip(shown, around, strict=True) if away]
+        for geom in gone:
+            spec.delete(geom)
         found = True
         if bare and inside.all():
             what = f"link '{name}' has only collision geometry and encloses the fingers"
@@ -79,6 +80,17 @@ def _hulls(
             what = f"link '{name}' has a shape that encloses the fingers"
         notes.add(f"{what} (a safety hull?): left out")
     return found
+
+
+def _enclosing(
+    mechanism: Mechanism, poses: NDArray[np.float64], solids: Solids
+) -> NDArray[np.bool_]:
+    """Which shapes (count,) hold a good part of every finger's tip."""
+    shares = [
+        solids.shares_inside(mechanism.surface(poses, branch.tip), poses)
+        for branch in mechanism.branches
+    ]
+    return np.asarray(np.min(shares, axis=0) >= ENCLOSED)
 
 
 def _markers(
@@ -107,12 +119,12 @@ def _markers(
         centre = (own.min(axis=0) + own.max(axis=0)) / 2.0
         if size > MARKER or not ((centre > low) & (centre < high)).all():
             continue
-        rest = mechanism.surface(postures[0], [b for b in range(model.nbody) if b != body])
+        rest = mechanism.surface(postures[0], [b for b in mechanism.palm if b != body])
         if not len(rest) or float(np.min(KDTree(rest).query(own)[0])) < APART:
             continue
         name = model.body(body).name
         for geom in list(spec.body(name).geoms):
             spec.delete(geom)
-        notes.add(f"link '{name}' touches nothing of the gripper (a marker?): left out")
+        notes.add(f"link '{name}' touches nothing of the palm (a marker?): left out")
         found = True
     return found

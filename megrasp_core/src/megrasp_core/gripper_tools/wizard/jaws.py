@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from megrasp_core.errors import DescriptionError
 from megrasp_core.grippers import NO_SUCTION
 
-from .fingers import Finger, joint_axes
+from .fingers import Finger, crossed_over, joint_axes
 from .mechanism import Mechanism
 from .motion import DriveMotion
 from .opposition import Opposition, divisions, facing
@@ -21,6 +21,7 @@ MAX_DRIVES = 6
 ALIKE_MOTION = 0.1
 """Fingers whose ways differ by less than this share of them do not close."""
 
+LEAST_MOTION = 1e-4
 ALIKE = 0.02
 """Divisions whose scores (cosines) differ by less oppose alike."""
 
@@ -44,13 +45,13 @@ def oppose_jaws(
             "postures with --open joint=value ... and --closed joint=value ..."
         )
     base = motion.rest()
-    best: tuple[float, NDArray[np.float64], NDArray[np.float64]] | None = None
+    best: tuple[tuple[bool, float], NDArray[np.float64], NDArray[np.float64]] | None = None
     for ends in itertools.product((0, 1), repeat=len(drives)):
         start, end = base.copy(), base.copy()
         chosen = np.array(ends) == 0
         start[drives] = np.where(chosen, motion.low[drives], motion.high[drives])
         end[drives] = np.where(chosen, motion.high[drives], motion.low[drives])
-        wide = _openness(mechanism, motion, fingers, start)
+        wide = _openness(motion, fingers, start)
         if best is None or wide > best[0]:
             best = wide, start, end
     assert best is not None  # product() yields at least one corner
@@ -68,6 +69,7 @@ def divide_jaws(
     way = [motion.poses(lengths) for lengths in (start, end)]
     tips = np.array([[finger.tip_at(poses) for finger in fingers] for poses in way])
     _refuse_alike(fingers, tips)
+    _refuse_cups(fingers, tips)
     ways = [_way(division, fingers, tips) for division in divisions(fingers)]
     scores = sorted(way.score for way in ways)
     # Fingers around a centre oppose alike in several ways: then along an axis of the model, the
@@ -90,13 +92,28 @@ def _refuse_alike(fingers: Sequence[Finger], tips: NDArray[np.float64]) -> None:
         )
 
 
+def _refuse_cups(fingers: Sequence[Finger], tips: NDArray[np.float64]) -> None:
+    """Refuse parts that slide beside each other and never come nearer, as single cups do."""
+    if not all(finger.sliding for finger in fingers):
+        return
+    for one, other in itertools.combinations(range(len(fingers)), 2):
+        before, after = tips[:, other] - tips[:, one]
+        nearer = abs(float(np.linalg.norm(before) - np.linalg.norm(after)))
+        moved = float(np.linalg.norm(after - before))
+        if moved > LEAST_MOTION and nearer >= ALIKE_MOTION * moved:
+            return
+    raise DescriptionError(
+        f"{', '.join(finger.name for finger in fingers)} slide beside each other and close on "
+        f"nothing: {NO_SUCTION}"
+    )
+
+
 def _openness(
-    mechanism: Mechanism,
-    motion: DriveMotion,
-    fingers: Sequence[Finger],
-    lengths: NDArray[np.float64],
-) -> float:
-    """Return the sum of distances between fingertips (m), negative where two have crossed over."""
+    motion: DriveMotion, fingers: Sequence[Finger], lengths: NDArray[np.float64]
+) -> tuple[bool, float]:
+    """Return whether every finger stays on its own side, and the sum of distances between
+    fingertips (m), negative where two have crossed over.
+    """
     poses = motion.poses(lengths)
     anchors, _ = joint_axes(motion, lengths)
     out = 0.0
@@ -105,7 +122,7 @@ def _openness(
         roots = anchors[b.chain[0]] - anchors[a.chain[0]]
         crossed = not (a.sliding or b.sliding) and float(apart @ roots) < 0.0
         out += float(np.linalg.norm(apart)) * (-1.0 if crossed else 1.0)
-    return out
+    return not crossed_over(fingers, motion, lengths), out
 
 
 def _along_model(axis: NDArray[np.float64]) -> tuple[float, int]:

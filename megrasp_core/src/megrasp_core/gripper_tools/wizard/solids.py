@@ -24,10 +24,11 @@ class Solids:
     Args:
         model: compiled model.
         bodies: the bodies' ids.
+        seen: take the visual geometry alone.
     """
 
-    def __init__(self, model: mujoco.MjModel, bodies: Collection[int]) -> None:
-        solid = [m for m in body_meshes(model, "collision") if m.body in bodies]
+    def __init__(self, model: mujoco.MjModel, bodies: Collection[int], seen: bool = False) -> None:
+        solid = [m for m in body_meshes(model, "collision") if m.body in bodies and not seen]
         owners = {m.body for m in solid}
         shown = [m for m in body_meshes(model, "visual") if m.body in bodies]
         self._planes = [

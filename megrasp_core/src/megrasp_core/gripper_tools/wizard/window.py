@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from .fingers import Finger, joint_axes
+from .fingers import Finger, crossed_over, joint_axes
 from .mechanism import Mechanism, palm_centre
 from .motion import DriveMotion
 from .solids import Solids
@@ -99,7 +99,8 @@ def looking_from(
 @dataclass(frozen=True)
 class _Stroke:
     """Lengths (n,) of all drives where the tips are nearest and as far apart as they look at each
-    other; `score` to compare; whether the palm is in the way at the closed end.
+    other; `score` to compare; whether the palm is in the way at the closed end, or fingers have
+    crossed over at the open one.
     """
 
     open: NDArray[np.float64]
@@ -156,12 +157,13 @@ def _strokes(
                 last = following
             if last == event:
                 continue
+            crossed = crossed_over(fingers, motion, path[last])
             moved = tips[event] - tips[event + way]
             speed = float(np.linalg.norm(moved, axis=1).mean())
             opposed = 1.0 - float(np.linalg.norm(moved.mean(axis=0))) / max(speed, 1e-9)
             rest = float(np.abs(path[event]).mean())
             score = float(apart[last] - apart[event]) * opposed * ahead / (1.0 + REST_COST * rest)
-            out.append(_Stroke(path[last], path[event], score, blocked[event]))
+            out.append(_Stroke(path[last], path[event], score, blocked[event] or crossed))
     return out
 
 

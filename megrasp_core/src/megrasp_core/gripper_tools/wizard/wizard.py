@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from megrasp_core.drawing.gripper_picture import gripper_picture
-from megrasp_core.errors import InvalidRequestError
+from megrasp_core.errors import DescriptionError, InvalidRequestError
 from megrasp_core.gripper_tools.check import check_geometry, check_gripper
 from megrasp_core.grippers import (
     FILE_NAME,
@@ -122,7 +123,7 @@ def _make(
 ) -> NewGripper:
     out, overrides = request.out, request.overrides
     notes = Notes()
-    with tempfile.TemporaryDirectory(prefix="megrasp-gripper-") as scratch:
+    with tempfile.TemporaryDirectory(prefix="megrasp-gripper-") as scratch, _named(scratch, out):
         prepared = prepare(request.model, Path(scratch), request.source, notes, accept_scale)
         labels = _labels(request, prepared)
         while True:
@@ -145,6 +146,17 @@ def _make(
     if picture:
         gripper_picture(Gripper(made), out / PICTURE_FILE)
     return result
+
+
+@contextmanager
+def _named(scratch: str, out: Path) -> Iterator[None]:
+    """Name in errors the folder that the user asked for, not the one it is made in."""
+    try:
+        yield
+    except DescriptionError as error:
+        if scratch not in str(error):
+            raise
+        raise DescriptionError(str(error).replace(scratch, str(out))) from error
 
 
 def _with_sound_tcp(
