@@ -75,7 +75,7 @@ class MeshFinder:
         if package in self.packages:
             return [self.packages[package]]
         out = []
-        for parent in list(self.folder.resolve().parents)[:PARENTS]:
+        for parent in [self.folder.resolve(), *self.folder.resolve().parents][: PARENTS + 1]:
             out += [parent / package]
         for parent in [self.folder.resolve(), *self.folder.resolve().parents][:PARENTS]:
             if _package_name(parent) == package:

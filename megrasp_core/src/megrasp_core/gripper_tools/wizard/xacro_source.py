@@ -14,6 +14,7 @@ from .meshes import MeshFinder
 
 SUFFIX = ".xacro"
 NAMESPACE = "xacro"
+INCLUDED = re.compile(r"<xacro:include\s[^>]*filename\s*=\s*[\"']([^\"']+)[\"']")
 FIND = re.compile(r"\$\(find ([\w-]+)\)")
 
 
@@ -47,9 +48,16 @@ def expand(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str
             "xacrodoc: pip install 'megrasp-core[xacro]'. Or expand it where ROS is: xacro "
             f"{path.name} > {made}"
         )
+    found, missing = _packages(path, packages)
     try:
-        return run(path, _found(path, packages), dict(arguments))
+        return run(path, found, dict(arguments))
     except Exception as error:  # xacro evaluates Python expressions: anything may come
+        if missing:
+            given = " ".join(f"--package {name}=/folder/of/{name}" for name in missing)
+            raise DescriptionError(
+                f"{path} cannot be expanded by xacro: it needs the ROS packages "
+                f"{', '.join(missing)}, which are not found. Say where they lie: {given}"
+            ) from error
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise DescriptionError(
             f"{path} cannot be expanded by xacro; it says: {reason}. Missing arguments are given "
@@ -74,8 +82,15 @@ def _expander() -> Expander | None:
 def _by_xacrodoc(path: Path, packages: Mapping[str, Path], arguments: dict[str, str]) -> str:
     xacrodoc = importlib.import_module("xacrodoc")
     places = importlib.import_module("xacrodoc.packages")
+    # It keeps what it found for the life of the process, files of another gripper too.
+    places.reset()
     places.update_package_cache({name: str(folder) for name, folder in packages.items()})
-    document = xacrodoc.XacroDoc.from_file(str(path), subargs=arguments, resolve_packages=False)
+    try:
+        document = xacrodoc.XacroDoc.from_file(
+            str(path), subargs=arguments, resolve_packages=False
+        )
+    finally:
+        places.reset()
     return str(document.to_urdf_string())
 
 
@@ -84,13 +99,26 @@ def _by_xacro(path: Path, packages: Mapping[str, Path], arguments: dict[str, str
     return str(xacro.process_file(str(path), mappings=arguments).toxml())
 
 
-def _found(path: Path, packages: Mapping[str, Path]) -> dict[str, Path]:
-    """Return the folders of the packages that the file and those beside it name."""
-    finder = MeshFinder(path.parent, packages)
-    out = dict(packages)
-    for file in [path, *sorted(path.parent.glob(f"*{SUFFIX}"))]:
-        for name in FIND.findall(file.read_text(encoding="utf-8", errors="replace")):
+def _packages(path: Path, given: Mapping[str, Path]) -> tuple[dict[str, Path], list[str]]:
+    """Return the folders of the packages that a file and what it includes name, and the names of
+    those that are not found.
+    """
+    finder = MeshFinder(path.parent, given)
+    found, missing = dict(given), []
+    left, seen = [path], set()
+    while left:
+        file = left.pop()
+        if file in seen or not file.is_file():
+            continue
+        seen.add(file)
+        text = file.read_text(encoding="utf-8", errors="replace")
+        for name in FIND.findall(text):
             folder = finder.package(name)
             if folder is not None:
-                out.setdefault(name, folder)
-    return out
+                found.setdefault(name, folder)
+            elif name not in missing:
+                missing.append(name)
+        for name in INCLUDED.findall(text):
+            named = FIND.sub(lambda m: str(found.get(m[1], m[0])), name)
+            left.append(file.parent / named)
+    return found, missing
