@@ -175,13 +175,12 @@ def test_visual_shapes_stand_in_for_collision(tmp_path):
 def test_gripper_without_surface_is_a_bad_description(tmp_path):
     """A description written by hand for a visual-only model: no traceback, and what to do."""
     made(tmp_path, slides(0.04))
-    out = tmp_path / "out"
-    (out / "bare.urdf").write_text(without_collision(slides(0.04)))
-    text = (out / "gripper.yaml").read_text()
-    (out / "gripper.yaml").write_text(text.replace("model: model.xml", "model: bare.urdf"))
+    model = tmp_path / "out" / "model.xml"
+    bare = re.sub(r' (contype|conaffinity)="\d"', "", model.read_text())
+    model.write_text(bare.replace("<geom ", '<geom contype="0" conaffinity="0" '))
     with pytest.raises(DescriptionError, match=r"collision geometry.*`megrasp gripper new"):
-        Gripper.from_path(out).collision_points("open")
-    assert any("takes the visual shapes" in error for error in check_gripper(out).errors)
+        Gripper.from_path(model.parent).collision_points(0.004)
+    assert any("takes the visual shapes" in error for error in check_gripper(model.parent).errors)
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 0.0), (-2.0, 2.0)])
