@@ -18,6 +18,10 @@ MOVED = 0.02
 
 PARALLEL = 0.95
 TIP_SHARE = 0.15
+ROOT_SHARE = 0.05
+BESIDE = 0.3
+"""A part that leads less than this share aside from its direction of motion is a bellows."""
+
 ASIDE = 1e-4
 """Fingers whose root lies nearer (m) to the middle of all have no side of their own."""
 
@@ -129,6 +133,26 @@ def crossed_over(
         ):
             return True
     return False
+
+
+def leads_aside(
+    mechanism: Mechanism,
+    poses: NDArray[np.float64],
+    finger: Finger,
+    axis: NDArray[np.float64],
+) -> float:
+    """Return the share of a finger's way from its root, the part nearest to the palm, to its tip
+    that is not along the unit `axis` (3,) of its motion.
+    """
+    palm = mechanism.surface(poses, mechanism.palm)
+    if not len(palm):
+        return 1.0
+    points = mechanism.surface(poses, finger.links)
+    distance = np.asarray(KDTree(palm).query(points)[0])
+    root = points[distance <= np.quantile(distance, ROOT_SHARE)].mean(axis=0)
+    ahead = finger.tip_at(poses) - root
+    aside = ahead - ahead @ axis * axis
+    return float(np.linalg.norm(aside) / max(np.linalg.norm(ahead), 1e-9))
 
 
 def _drives_of(branch: Branch, gains: NDArray[np.float64]) -> set[int]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from megrasp_core.errors import DescriptionError
 from megrasp_core.grippers import NO_SUCTION
 
-from .fingers import Finger, crossed_over, joint_axes
+from .fingers import BESIDE, Finger, crossed_over, joint_axes, leads_aside
 from .mechanism import Mechanism
 from .motion import DriveMotion
 from .opposition import Opposition, divisions, facing
@@ -69,7 +69,7 @@ def divide_jaws(
     way = [motion.poses(lengths) for lengths in (start, end)]
     tips = np.array([[finger.tip_at(poses) for finger in fingers] for poses in way])
     _refuse_alike(fingers, tips)
-    _refuse_cups(fingers, tips)
+    _refuse_cups(mechanism, fingers, way[0], tips)
     ways = [_way(division, fingers, tips) for division in divisions(fingers)]
     scores = sorted(way.score for way in ways)
     # Fingers around a centre oppose alike in several ways: then along an axis of the model, the
@@ -92,18 +92,22 @@ def _refuse_alike(fingers: Sequence[Finger], tips: NDArray[np.float64]) -> None:
         )
 
 
-def _refuse_cups(fingers: Sequence[Finger], tips: NDArray[np.float64]) -> None:
-    """Refuse parts that slide beside each other and never come nearer, as single cups do."""
-    if not all(finger.sliding for finger in fingers):
-        return
-    for one, other in itertools.combinations(range(len(fingers)), 2):
-        before, after = tips[:, other] - tips[:, one]
-        nearer = abs(float(np.linalg.norm(before) - np.linalg.norm(after)))
-        moved = float(np.linalg.norm(after - before))
-        if moved > LEAST_MOTION and nearer >= ALIKE_MOTION * moved:
+def _refuse_cups(
+    mechanism: Mechanism,
+    fingers: Sequence[Finger],
+    poses: NDArray[np.float64],
+    tips: NDArray[np.float64],
+) -> None:
+    """Refuse parts that all slide along their own length, as cups on springs do."""
+    moved = tips[1] - tips[0]
+    for finger, way in zip(fingers, moved, strict=True):
+        size = float(np.linalg.norm(way))
+        if not finger.sliding or size < LEAST_MOTION:
+            return
+        if leads_aside(mechanism, poses, finger, way / size) >= BESIDE:
             return
     raise DescriptionError(
-        f"{', '.join(finger.name for finger in fingers)} slide beside each other and close on "
+        f"{', '.join(finger.name for finger in fingers)} move in and out of the base and close on "
         f"nothing: {NO_SUCTION}"
     )
 

@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 from megrasp_core.errors import DescriptionError
 from megrasp_core.grippers import NO_SUCTION
 
-from .fingers import Finger, joint_axes
+from .fingers import BESIDE, Finger, joint_axes, leads_aside
 from .mechanism import Mechanism
 from .motion import DriveMotion
 from .opposition import Opposition
@@ -40,10 +40,6 @@ BACK = 0.1
 
 MOST_TURN = np.radians(30.0)
 FEWEST_CELLS = 8
-ROOT_SHARE = 0.05
-BESIDE = 0.3
-"""A jaw that leads less than this share aside from its direction of motion is a bellows."""
-
 SHARE = 0.25
 """A face ahead of a sliding jaw stops it when it has this share of the largest one's area."""
 
@@ -149,13 +145,7 @@ class _Sweep:
         axis.
         """
         poses = self._motion.poses(way.open)
-        points = self._mechanism.surface(poses, self._finger.links)
-        palm = self._mechanism.surface(poses, self._mechanism.palm)
-        distance = np.asarray(KDTree(palm).query(points)[0])
-        root = points[distance <= np.quantile(distance, ROOT_SHARE)].mean(axis=0)
-        ahead = self._finger.tip_at(poses) - root
-        aside = ahead - ahead @ way.axis * way.axis
-        return float(np.linalg.norm(aside) / max(np.linalg.norm(ahead), 1e-9))
+        return leads_aside(self._mechanism, poses, self._finger, way.axis)
 
     def _slides(self) -> list[_Close]:
         """Return how the jaw meets what lies ahead of it, in either sense."""
