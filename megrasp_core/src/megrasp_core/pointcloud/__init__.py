@@ -1,5 +1,6 @@
 """Point clouds: files, regions, voxel means, normals, support plane, scene nodes."""
 
+from .bins import BinSettings, FoundBin, find_bin
 from .box import OrientedBox
 from .cloud import Cloud
 from .emptiness import only_support_left
@@ -21,7 +22,9 @@ from .scene import (
 from .voxels import VoxelGroups, voxel_means
 
 __all__ = [
+    "BinSettings",
     "Cloud",
+    "FoundBin",
     "OrientedBox",
     "Plane",
     "PlaneSettings",
@@ -32,6 +35,7 @@ __all__ = [
     "VoxelGroups",
     "choose_nodes",
     "estimate_normals",
+    "find_bin",
     "grown_region",
     "neighbours",
     "node_counts",
