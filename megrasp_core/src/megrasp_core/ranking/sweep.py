@@ -23,8 +23,9 @@ class SweepSettings:
 
     Attributes:
         steps: postures tested between the opening and the contact, the latter included; 0: none.
-        play: the pads stop so far from what is between them, on either side, and touching it so
-            far outside is no hit (m).
+        play: the pads stop so far from what is between them, on either side (m).
+        edge: what is seen up to here beside the material is part of it (m): its steep sides, and
+            what a camera smears over an edge.
         max_hits: so many finger points in floor, walls or seen bodies are tolerated: noise.
         back_off: a grasp that hits is tried again so far back along its approach (m), nearest
             first.
@@ -34,6 +35,7 @@ class SweepSettings:
 
     steps: int = 5
     play: float = 0.003
+    edge: float = 0.010
     max_hits: int = 0
     back_off: tuple[float, ...] = (0.003, 0.006, 0.009, 0.012, 0.015)
     least_engagement: float = 0.008
@@ -71,9 +73,7 @@ def sweep_hits(
     state = observation.classify((turned + poses[:, None, None, :3, 3]).reshape(-1, 3))
     state = state.reshape(fingers.shape[:3])
     x = np.abs(fingers[..., 0] - (volume.centre + offset)[:, None, None])
-    y, z = fingers[..., 1], fingers[..., 2]
-    grasped = (x <= (width / 2 + 2 * s.play)[:, None, None]) & (z <= volume.high[2])
-    grasped &= (y >= volume.low[1] - s.play) & (y <= volume.high[1] + s.play)
+    grasped = x <= (width / 2 + s.edge)[:, None, None]
     hit = (state >= PointState.WALL) | ((state == PointState.INSIDE) & ~grasped)
     hits[rows] = hit.sum(axis=2).max(axis=1)
     return hits
