@@ -62,7 +62,7 @@ def grasp_array(
     gripper: Gripper, grasps: Sequence[Any], *, header: Header, model_id: str, seed: int
 ) -> GraspArray:
     """Return the GraspArray of the core's ranked grasps, in their order."""
-    opened, closed = _posture(gripper.open_joints), _posture(gripper.closed_joints)
+    closed = _posture(gripper.closed_joints)
     return GraspArray(
         header=header,
         gripper=gripper.name,
@@ -74,7 +74,7 @@ def grasp_array(
                 pregrasp=pose_from_matrix(grasp.world_from_gripper),
                 tcp=pose_from_matrix(grasp.world_from_tcp),
                 approach=pose_from_matrix(grasp.world_from_gripper_approach),
-                pregrasp_posture=opened,
+                pregrasp_posture=_posture(gripper.posture_at(grasp.share)),
                 grasp_posture=closed,
                 width=_number(grasp.width),
                 score=_number(grasp.score),

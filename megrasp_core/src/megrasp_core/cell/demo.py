@@ -150,7 +150,9 @@ def _attempt(
         )
     grasp = synthesis.grasps[chosen]
     begun = time.monotonic()
-    result = cell.execute(grasp.world_from_gripper, grasp.world_from_gripper_approach)
+    result = cell.execute(
+        grasp.world_from_gripper, grasp.world_from_gripper_approach, grasp.share
+    )
     return PickRecord(
         success=result.success,
         reason=result.error,

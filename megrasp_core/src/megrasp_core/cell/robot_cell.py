@@ -223,18 +223,20 @@ class RobotCell:
         self,
         world_from_gripper: NDArray[np.float64],
         approach: NDArray[np.float64] | None = None,
+        opening: float = 0.0,
     ) -> ExecutionResult:
         """Approaches, closes, lifts, shakes; then the gripper leaves and the objects come to rest.
 
         world_from_gripper: (4, 4) pre-grasp. approach: (4, 4) world_from_gripper at the stand-off,
         from where the path to the pre-grasp is tested for collision; None: no path is tested.
+        opening: share of the way from open to closed at which the fingers start.
 
         Raises InvalidRequestError for something that is no pose, SimulationError if the physics
         diverges; the scene is then as before.
         """
         pose = checked_pose(world_from_gripper, "world_from_gripper")
         start = None if approach is None else checked_pose(approach, "approach")
-        verdict = PickCycle(self._world).carry_out(pose, start)
+        verdict = PickCycle(self._world).carry_out(pose, start, opening)
         lifted = sorted(verdict.lifted) if verdict.success else []
         spilled = [i for i in outside_bin(self._world) if i not in lifted]
         for index in spilled:

@@ -24,6 +24,10 @@ class Plane:
         """Return the signed distance (N,) in metres of points (N, 3), positive above."""
         return points @ self.normal - self.offset
 
+    def moved(self, offset: ArrayLike) -> Plane:
+        """Return the plane moved by `offset` (3,) metres."""
+        return Plane(self.normal, self.offset + float(self.normal @ np.asarray(offset)))
+
 
 @dataclass(frozen=True)
 class PlaneSettings:
