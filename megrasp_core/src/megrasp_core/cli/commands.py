@@ -7,6 +7,7 @@ from collections.abc import Callable
 from tyro.extras import SubcommandApp
 
 from .bench import bench
+from .bin import find
 from .calibrate import calibrate
 from .compare import compare
 from .data.generate import grasps, scenes, stats
@@ -53,6 +54,7 @@ COMMANDS: dict[str, Command | tuple[str, dict[str, Command]]] = {
             "score-wizard": score_wizard,
         },
     ),
+    "bin": ("Find bins in clouds.", {"find": find}),
     "objects": ("Make objects to grasp.", {"generate": generate}),
     "data": (
         "Make, pack and check training data.",

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 import tyro
 
-from megrasp_core.errors import GravityError, InvalidRequestError
+from megrasp_core.errors import InvalidRequestError
 
 from .common import Flag, progress_bar, read_region, say
+from .viewing import Vector, gravity_of, length_factor, sensor_of
 
 if TYPE_CHECKING:
     from megrasp_core.pointcloud import Cloud, Plane
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 __all__ = ["synthesize"]
 
 LOGGER = logging.getLogger(__name__)
-Vector = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
 ASSUMED_HEIGHT = 1.0
 
 
@@ -121,7 +121,7 @@ def synthesize(
                                    "color": color, "mask": mask})  # fmt: skip
     if depth is not None:
         frame = "optical"
-    down = _gravity(frame, gravity, top_down)
+    down = gravity_of(frame, gravity, top_down)
     box, walls = (None, True) if region is None else read_region(region)
     from megrasp_core.pointcloud import camera_matrix, check_view, read_depth_cloud
     from megrasp_core.synthesizer import GraspSynthesizer, SynthesisRequest
@@ -148,10 +148,10 @@ def synthesize(
     if depth is not None:
         matrix = None if intrinsics is None else camera_matrix(*intrinsics)
         points = read_depth_cloud(depth, matrix, scale=depth_scale, color=color, mask=mask)
-        points = points.scaled(_factor(scale))
+        points = points.scaled(length_factor(scale))
     else:
-        points = _read_views(clouds, frame, _factor(scale), given=sensor is not None)
-    seen_from = _sensor(points, frame, sensor)
+        points = _read_views(clouds, frame, length_factor(scale), given=sensor is not None)
+    seen_from = sensor_of(points, frame, sensor)
     check_view(
         points.points, sensor=seen_from, gravity=down, region=box, optical=frame == "optical"
     )
@@ -218,29 +218,6 @@ def _read_views(paths: tuple[Path, ...], frame: str, factor: float, *, given: bo
     return functools.reduce(Cloud.joined, clouds)
 
 
-def _gravity(
-    frame: str, gravity: tuple[float, float, float] | None, top_down: bool
-) -> tuple[float, float, float]:
-    if top_down and frame != "optical":
-        raise InvalidRequestError(
-            "--top-down was given with --frame world; expected it with --frame optical only. In a "
-            "world frame gravity is 0 0 -1, or what --gravity says."
-        )
-    if top_down and gravity is not None:
-        raise InvalidRequestError("--top-down and --gravity were given; expected one of them.")
-    if gravity is not None:
-        return gravity
-    if frame == "world":
-        return (0.0, 0.0, -1.0)
-    if top_down:
-        return (0.0, 0.0, 1.0)
-    raise GravityError(
-        "--frame optical was given without gravity; expected --gravity X Y Z, a vector that "
-        "points down in the camera's frame (x right, y down, z forward). Add --gravity X Y Z, or "
-        "--top-down where the camera looks straight down."
-    )
-
-
 def _floor(numbers: tuple[float, ...] | None) -> Plane | float | None:
     if numbers is None or len(numbers) == 1:
         return None if numbers is None else numbers[0]
@@ -253,25 +230,6 @@ def _floor(numbers: tuple[float, ...] | None) -> Plane | float | None:
     from megrasp_core.pointcloud import Plane
 
     return Plane(np.asarray(numbers[:3]) / length, numbers[3] / length)
-
-
-def _factor(scale: float) -> float:
-    if not (np.isfinite(scale) and scale > 0):
-        raise InvalidRequestError(
-            f"--scale {scale} was given; expected metres per unit of the file, for example 0.001 "
-            "for millimetres."
-        )
-    return scale
-
-
-def _sensor(
-    cloud: Cloud, frame: str, sensor: tuple[float, float, float] | None
-) -> np.ndarray | None:
-    if sensor is not None:
-        return np.asarray(sensor)
-    if cloud.viewpoint is not None:
-        return cloud.viewpoint
-    return np.zeros(3) if frame == "optical" else None
 
 
 def _assumed_sensor(cloud: Cloud, down: tuple[float, float, float]) -> np.ndarray:

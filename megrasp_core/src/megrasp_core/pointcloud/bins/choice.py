@@ -45,7 +45,7 @@ def best_rim(
     """
     found: list[_Candidate] = []
     tried: list[Outline] = []
-    view = Picture.of(points, eyes)
+    picture = Picture.of(points, eyes)
     for outline in outlines(edges(map, settings), map.cell, settings, size):
         if len(tried) == TRIED:
             break
@@ -53,7 +53,7 @@ def best_rim(
             continue
         tried.append(outline)
         rim = fitted(points, rim_at(outline), map.noise, settings, size, eyes)
-        if rim is None or not _is_bin(rim, map, settings, size, view):
+        if rim is None or not is_bin(rim, map, settings, size, picture):
             continue
         found.append(_Candidate(rim, _score(rim, map)))
         if found[-1].score > SURE:
@@ -109,9 +109,22 @@ def _in_a_plain(outline: Outline, map: HeightMap) -> bool:
     return flat >= 2
 
 
-def _is_bin(
-    rim: Rim, map: HeightMap, settings: BinSettings, size: FloatArray | None, view: Picture | None
+def is_bin(
+    rim: Rim,
+    map: HeightMap,
+    settings: BinSettings,
+    size: FloatArray | None,
+    picture: Picture | None,
 ) -> bool:
+    """Whether enough of a rim and its walls is seen for a bin, and nothing speaks against it.
+
+    Args:
+        rim: in the level frame of the map.
+        map: of the points.
+        settings: limits.
+        size: inner edges (2,) if known (m).
+        picture: of the one camera, None where there are several or none is known.
+    """
     edges_found = 2 * rim.half
     if edges_found.min() < settings.shortest or edges_found.max() > settings.longest:
         return False
@@ -139,7 +152,9 @@ def _is_bin(
     # A wall that is not seen at all may lie outside of the picture.
     return size is not None or all(
         rim.walls[side] >= 0.2
-        or (beyond[side] > 0.2 if view is None else bool(view.shows(_along(rim, side)).all()))
+        or (
+            beyond[side] > 0.2 if picture is None else bool(picture.shows(_along(rim, side)).all())
+        )
         for side in range(4)
     )
 

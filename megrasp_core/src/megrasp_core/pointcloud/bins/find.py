@@ -8,10 +8,11 @@ from numpy.typing import ArrayLike, NDArray
 from megrasp_core.errors import CloudError, GravityError, InvalidRequestError, NoBinError
 from megrasp_core.pointcloud.cloud import Cloud
 
-from .choice import best_rim
+from .choice import best_rim, is_bin
 from .description import described
 from .found import FoundBin
 from .height_map import HeightMap, height_map
+from .picture import Picture
 from .rim import fitted
 from .settings import BinSettings
 
@@ -84,7 +85,8 @@ def find_bin(
     rim = best_rim(thin, map, settings, edges_wanted, few_eyes)
     if rim is not None:
         rim = fitted(points, rim, map.noise, settings, edges_wanted, eyes, slacks=(0.006, 0.006))
-    if rim is None:
+    picture = Picture.of(thin, few_eyes)
+    if rim is None or not is_bin(rim, map, settings, edges_wanted, picture):
         raise _none(thin, finite.points, map, settings, edges_wanted, few_eyes)
     place = eyes[:, 0] if eyes is not None and eyes.shape[1] == 1 else None
     found = described(thin, rim, place, edges_given, level_from_cloud, settings)
