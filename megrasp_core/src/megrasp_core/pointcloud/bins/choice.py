@@ -152,9 +152,7 @@ def is_bin(
     # A wall that is not seen at all may lie outside of the picture.
     return size is not None or all(
         rim.walls[side] >= 0.2
-        or (
-            beyond[side] > 0.2 if picture is None else bool(picture.shows(_along(rim, side)).all())
-        )
+        or (beyond[side] > 0.2 if picture is None else picture.shows(_along(rim, side)))
         for side in range(4)
     )
 

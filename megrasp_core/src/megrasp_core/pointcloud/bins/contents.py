@@ -34,10 +34,12 @@ SURE_SHARE = 0.3
 FLOOR_THICKNESS = 0.003
 """Assumed where only the surroundings are seen (m)."""
 FLOOR_SLACK = 0.015
+AIR = 0.010
+"""Edge of the cubes in which points in the air are told from surfaces by their number (m)."""
 
 
 def depth_of(
-    inside: FloatArray, around: FloatArray, rim: Rim, settings: BinSettings
+    inside: FloatArray, around: FloatArray, rim: Rim, noise: float, settings: BinSettings
 ) -> tuple[float, DepthFrom]:
     """Depth (m) below the rim, and what it was taken from.
 
@@ -45,6 +47,7 @@ def depth_of(
         inside: (N, 3) points between the walls, in the rim's frame.
         around: (N, 3) level points near the bin and outside of it.
         rim: of the bin.
+        noise: of the heights (m).
         settings: limits.
     """
     stands = _height_over(around, rim)
@@ -52,7 +55,8 @@ def depth_of(
     heights = np.sort(squares)
     floor = float("nan")
     if len(heights):
-        many = np.searchsorted(heights, heights + 0.006) - np.arange(len(heights))
+        band = max(0.006, 4.0 * noise)
+        many = np.searchsorted(heights, heights + band) - np.arange(len(heights))
         below = np.arange(len(heights))
         enough = max(6.0, FLOOR_SHARE * len(heights))
         good = np.flatnonzero((many >= enough) & (below <= 0.015 * len(heights) + 2))
@@ -142,6 +146,20 @@ def fill(
     known = np.isfinite(cells)
     level = float(np.minimum(cells[known], 1.0).mean()) if known.any() else float("nan")
     return cells, level
+
+
+def dense(points: FloatArray) -> FloatArray:
+    """Points (K, 3) without those few that lie in the air: at the borders of what is near, cameras
+    see some between near and far.
+    """
+    if not len(points):
+        return points
+    cells = np.floor((points - points.min(axis=0)) / AIR).astype(np.int64)
+    _, number, count = np.unique(
+        cells @ np.array([1 << 40, 1 << 20, 1]), return_inverse=True, return_counts=True
+    )
+    neighbours = count[number]
+    return points[neighbours > 0.3 * np.median(neighbours)]
 
 
 def _squares(

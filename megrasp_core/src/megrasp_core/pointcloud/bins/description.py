@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from megrasp_core.pointcloud.box import OrientedBox
 
-from .contents import AROUND, depth_of, fill, is_empty
+from .contents import AROUND, dense, depth_of, fill, is_empty
 from .found import FoundBin
 from .rim import Rim
 from .settings import BinSettings
@@ -21,15 +21,27 @@ def described(
     sensor: FloatArray | None,
     size: FloatArray | None,
     level_from_cloud: FloatArray,
+    noise: float,
     settings: BinSettings,
 ) -> FoundBin | None:
+    """What is known of a bin, in the level frame; None where it is too shallow for one.
+
+    Args:
+        points: (3, N) level (m).
+        rim: of the bin.
+        sensor: (3,) level; None: several places, or not known.
+        size: (3,) inner edges and depth if known, 0 for what is not (m).
+        level_from_cloud: (3, 3), for the direction of x.
+        noise: of the heights (m).
+        settings: limits.
+    """
     local = rim.local(points).T
     flat = np.abs(local[:, :2])
     between = (flat < rim.half - 0.004).all(axis=1) & (local[:, 2] < 0.25)
     close = (flat < rim.half + AROUND).all(axis=1)
     width = rim.thickness if np.isfinite(rim.thickness) else 0.0
     around = close & (flat > rim.half + 0.01 + width).any(axis=1) & (local[:, 2] < -0.01)
-    depth, source = depth_of(local[between], points[:, around].T, rim, settings)
+    depth, source = depth_of(local[between], points[:, around].T, rim, noise, settings)
     if size is not None and size[2] > 0:
         depth, source = float(size[2]), "size"
     if not depth >= settings.shallowest:
@@ -45,15 +57,15 @@ def described(
     walls, draft = _turned(rim.walls, turn), _turned(rim.draft, turn)
     shift = np.array([0.0, 0.0, depth / 2])
     inside = local[between] @ turn.T + shift
-    lowest = inside[:, 2] > -depth / 2 - 0.03
+    inside = dense(inside[inside[:, 2] > -depth / 2 - 0.03])
     place = None if sensor is None else box.local(sensor[None])[0]
-    cells, level = fill(inside[lowest], local[close] @ turn.T + shift, box, place, settings)
+    cells, level = fill(inside, local[close] @ turn.T + shift, box, place, settings)
     lengths = np.repeat(edges_found[::-1], 2)
     return FoundBin(
         box,
         level,
         cells,
-        is_empty(inside[lowest], box, draft, source == "floor"),
+        is_empty(inside, box, draft, source == "floor"),
         walls,
         float(walls @ lengths / lengths.sum()),
         rim.error,

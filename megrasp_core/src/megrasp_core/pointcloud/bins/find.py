@@ -89,7 +89,7 @@ def find_bin(
     if rim is None or not is_bin(rim, map, settings, edges_wanted, picture):
         raise _none(thin, finite.points, map, settings, edges_wanted, few_eyes)
     place = eyes[:, 0] if eyes is not None and eyes.shape[1] == 1 else None
-    found = described(thin, rim, place, edges_given, level_from_cloud, settings)
+    found = described(thin, rim, place, edges_given, level_from_cloud, map.noise, settings)
     if found is None:
         raise _none(thin, finite.points, map, settings, edges_wanted, few_eyes)
     pose = np.eye(4)

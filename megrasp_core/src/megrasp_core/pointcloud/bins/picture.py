@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 BORDER = 0.010
 """Places nearer to the border of the picture than this count as outside (m)."""
@@ -48,10 +47,10 @@ class Picture:
         hull = ConvexHull((local[:2] / local[2]).T)
         return Picture(eyes[:, 0], rotation, hull.equations)
 
-    def shows(self, places: FloatArray) -> BoolArray:
-        """Whether level places (N, 3) are in the picture, away from its border."""
+    def shows(self, places: FloatArray) -> bool:
+        """Whether level places (N, 3) are all in the picture, away from its border."""
         local = self.view_from_level @ (places - self.eye).T
         ahead = local[2] > 1e-3
         xy = local[:2] / np.where(ahead, local[2], 1.0)
         out = (self.faces[:, :2] @ xy + self.faces[:, 2:]).max(axis=0) * local[2]
-        return ahead & (out < -BORDER)
+        return bool((ahead & (out < -BORDER)).all())
