@@ -142,12 +142,13 @@ def is_bin(
     if third < least or rim.walls @ lengths / lengths.sum() < settings.perimeter_seen:
         return False
     # Boxes have outer edges alone.
-    if np.sort(rim.inner)[1:].mean() < 0.25:
+    inner = np.sort(rim.inner)[1:]
+    if inner[0] < 0.1 or inner.mean() < 0.25:
         return False
     if (rim.outside < 0.3).sum() > 1:
         return False
-    hollow, beyond = _hollow(rim, map)
-    if hollow < 0.06:
+    hollow, flat, beyond = _inside(rim, map)
+    if hollow < 0.06 or flat > 0.35:
         return False
     # A wall that is not seen at all may lie outside of the picture.
     return size is not None or all(
@@ -166,14 +167,17 @@ def _along(rim: Rim, side: int) -> FloatArray:
     return places @ rim.level_from_rim[:3, :3].T + rim.level_from_rim[:3, 3]
 
 
-def _hollow(rim: Rim, map: HeightMap) -> tuple[float, FloatArray]:
-    """Share of the inside that is lower than the rim, or not seen; and (4,) share of the strip
-    outside each wall of which something is seen.
+def _inside(rim: Rim, map: HeightMap) -> tuple[float, float, FloatArray]:
+    """Share of the inside that is lower than the rim, or not seen; share of what is seen of it
+    that is level with the rim, as the top of a box is; and (4,) share of the strip outside each
+    wall of which something is seen.
     """
     grid = np.linspace(-0.92, 0.92, 40)
     xy = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2) * rim.half
     height = _over_rim(rim, map, xy)
-    hollow = float(((height < -0.010) | np.isnan(height)).mean())
+    seen = np.isfinite(height)
+    hollow = float(((height < -0.010) | ~seen).mean())
+    flat = float((np.abs(height[seen]) < 0.006).mean()) if seen.any() else 0.0
     beyond = np.zeros(4)
     for side in range(4):
         axis, sign = side // 2, 1 if side % 2 else -1
@@ -182,7 +186,7 @@ def _hollow(rim: Rim, map: HeightMap) -> tuple[float, FloatArray]:
         places = np.empty((len(along), len(out), 2))
         places[..., axis], places[..., 1 - axis] = sign * out, along[:, None]
         beyond[side] = np.isfinite(_over_rim(rim, map, places.reshape(-1, 2))).mean()
-    return hollow, beyond
+    return hollow, flat, beyond
 
 
 def _over_rim(rim: Rim, map: HeightMap, xy: FloatArray) -> FloatArray:

@@ -23,6 +23,8 @@ seen at all."""
 THICKNESSES = 2
 KEPT = 16
 """Rectangles followed up for each direction."""
+CLOSER = 28
+"""Rectangles of all directions whose plane is looked for."""
 GAP = 0.03
 """A line of edges goes on over gaps as long as this (m)."""
 APART = 0.012
@@ -62,16 +64,20 @@ def outlines(
     if len(edges.places) < 12:
         return []
     origin = edges.places[:, :2].mean(axis=0)
-    found: list[Outline] = []
+    rough: list[tuple[float, float, list[_Wall], FloatArray]] = []
     for yaw in _yaws(edges, origin, cell):
         walls = [_Wall(edges, origin, yaw, side, cell, settings) for side in range(4)]
         thicknesses = _thicknesses(walls, cell)
         for wall in walls:
             wall.follow(thicknesses)
-        for sides in _rectangles(walls, settings, size):
-            outline = _in_one_plane(walls, sides, yaw, origin, edges, settings)
-            if outline is not None:
-                found.append(outline)
+        for score, sides in _rectangles(walls, settings, size):
+            rough.append((score, yaw, walls, sides))
+    rough.sort(key=lambda one: -one[0])
+    found: list[Outline] = []
+    for _, yaw, walls, sides in rough[:CLOSER]:
+        outline = _in_one_plane(walls, sides, yaw, origin, edges, settings)
+        if outline is not None:
+            found.append(outline)
     found.sort(key=lambda outline: -outline.score)
     return found
 
@@ -267,8 +273,8 @@ def _longest(ends: list[tuple[int, float]], most: int) -> list[float]:
 
 def _rectangles(
     walls: list[_Wall], settings: BinSettings, size: ArrayLike | None
-) -> list[FloatArray]:
-    """Sides (4,) of the rectangles of which at least three sides are seen in part."""
+) -> list[tuple[float, FloatArray]]:
+    """Score and sides (4,) of rectangles of which at least three sides are seen in part."""
     positions = []
     for side, wall in enumerate(walls):
         if size is None:
@@ -309,13 +315,13 @@ def _rectangles(
     if size is not None:
         score[~_fits(across, upward, settings, size)] = -1.0
     order = np.argsort(-score, axis=None, kind="stable")[:400]
-    kept: list[FloatArray] = []
+    kept: list[tuple[float, FloatArray]] = []
     for row, column in zip(*np.unravel_index(order, score.shape)):
         if score[row, column] < 0.35 or len(kept) == KEPT:
             break
         sides = np.array([a[i[row]], b[j[row]], c[k[column]], d[m[column]]])
-        if all(np.abs(sides - other).max() > 0.010 for other in kept):
-            kept.append(sides)
+        if all(np.abs(sides - other).max() > 0.010 for _, other in kept):
+            kept.append((float(score[row, column]), sides))
     return kept
 
 
