@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from megrasp_core.meshes import Mesh, RayScene
@@ -22,7 +22,7 @@ ASIDE = np.array([0.15, -0.75, 0.80])
 """A camera that looks obliquely."""
 
 
-def block(low: Sequence[float], high: Sequence[float]) -> Mesh:
+def block(low: ArrayLike, high: ArrayLike) -> Mesh:
     """A box between two corners."""
     a, b = np.asarray(low, np.float64), np.asarray(high, np.float64)
     solid = box((b - a).tolist())
