@@ -7,8 +7,10 @@ Every command lies in a file of its own and imports what it needs when it runs, 
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 
 from megrasp_core.errors import (
     CancelledError,
@@ -36,10 +38,25 @@ FAILURES = (CancelledError, RequestTimeoutError, SimulationError, TrainingError)
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
+    Where whoever reads the output has closed it (`megrasp ... | head`), the command ends without
+    a word, with exit code 1 unless it was done.
+
     Args:
         args: arguments without the program's name; None: those of the process.
     """
     logging.basicConfig(level=logging.WARNING, format="megrasp: %(message)s", stream=sys.stderr)
+    try:
+        code = _run(args)
+    except BrokenPipeError as error:
+        # What is left of the output fails again here, or it was another pipe.
+        if not _output_closed():
+            sys.stderr.write(f"megrasp: {error}; a process that it worked with has ended.\n")
+        return 1
+    _output_closed()
+    return code
+
+
+def _run(args: Sequence[str] | None) -> int:
     try:
         return int(commands.app().cli(prog="megrasp", description=DESCRIPTION, args=args) or 0)
     except SystemExit as leave:
@@ -48,9 +65,26 @@ def main(args: Sequence[str] | None = None) -> int:
     except MegraspError as error:
         sys.stderr.write(f"megrasp: {error}\n")
         return 1 if isinstance(error, FAILURES) else 2
+    except BrokenPipeError:
+        raise
     except OSError as error:
         sys.stderr.write(f"megrasp: {error}; expected a path that can be read or written.\n")
         return 2
     except KeyboardInterrupt:
         sys.stderr.write("megrasp: stopped\n")
         return 1
+
+
+def _output_closed() -> bool:
+    """Whether nobody reads standard output any more; what it still holds is dropped then, or
+    Python would complain at its end.
+    """
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        with suppress(OSError, ValueError):
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, sys.stdout.fileno())
+            os.close(nowhere)
+        return True
+    return False

@@ -26,7 +26,8 @@ from .gripper.inspect import check, listed, render, show
 from .gripper.new import new, score_wizard
 from .gripper.postures import postures
 from .gripper.sample import sample
-from .objects import generate
+from .objects.generate import generate
+from .objects.prepare import prepare
 from .synthesize import synthesize
 from .train import train
 
@@ -53,7 +54,7 @@ COMMANDS: dict[str, Command | tuple[str, dict[str, Command]]] = {
             "score-wizard": score_wizard,
         },
     ),
-    "objects": ("Make objects to grasp.", {"generate": generate}),
+    "objects": ("Make objects to grasp.", {"generate": generate, "prepare": prepare}),
     "data": (
         "Make, pack and check training data.",
         {

@@ -97,8 +97,7 @@ def _merged(mesh: Mesh, done: list[str]) -> Mesh:
     """
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
     faces = np.asarray(mesh.faces, dtype=np.int64)
-    finite = np.isfinite(vertices).all(axis=1)
-    whole = finite[faces].all(axis=1)
+    whole = np.isfinite(vertices[faces]).all(axis=(1, 2))
     if not whole.all():
         done.append(f"{int((~whole).sum())} faces with corners that are not finite dropped")
         faces = faces[whole]
@@ -181,9 +180,7 @@ def _flips(faces: NDArray[np.integer]) -> NDArray[np.bool_]:
     flip = np.zeros(len(faces), bool)
     if not differ.any():
         return flip
-    graph = coo_matrix(
-        (np.where(differ, 2, 1), (one, other)), shape=(len(faces),) * 2
-    ).tocsr()
+    graph = coo_matrix((np.where(differ, 2, 1), (one, other)), shape=(len(faces),) * 2).tocsr()
     # A pair that shares two edges would be summed.
     graph.data = np.where(graph.data % 2 == 0, 2, 1)
     graph = graph.maximum(graph.T).tocsr()

@@ -109,9 +109,7 @@ def _clipped(triangles: FloatArray, normal: FloatArray, offset: float) -> _Clipp
             below += base
             edges.append(np.stack([q, p], axis=1))
     none = np.zeros((0, 2, 3))
-    return _Clipped(
-        np.concatenate(below), np.concatenate(above), np.concatenate([none, *edges])
-    )
+    return _Clipped(np.concatenate(below), np.concatenate(above), np.concatenate([none, *edges]))
 
 
 def _between(corner: FloatArray, height: FloatArray, i: int, j: int) -> FloatArray:

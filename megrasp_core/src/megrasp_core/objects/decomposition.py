@@ -1,13 +1,14 @@
-"""Convex pieces of a mesh: one hull where that is nearly the shape, otherwise CoACD's pieces or our
-own, hulls of what planes cut the mesh into.
+"""Convex pieces of a mesh: one hull where that is nearly the shape, otherwise the pieces of CoACD
+or hulls of what planes cut the mesh into.
 """
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,11 +31,13 @@ MOST_PIECES = 24
 PIECE_VERTICES, HULL_VERTICES = 48, 82
 THRESHOLD = 0.06
 """CoACD's concavity."""
-EXCESS = 0.06
+EXCESS = 0.03
 """Cutting ends when the hulls hold so much more than the solid, as a share of it."""
-PIECE_EXCESS = 0.003
+PIECE_EXCESS = 0.0015
 """A piece is not cut when its hull holds no more than this beyond it, as a share of the solid."""
-MERGE = 0.006
+ROUNDS = 3
+"""Of cutting and merging."""
+MERGE = 0.003
 """Two pieces become one when their common hull holds no more than this beyond theirs."""
 POSITIONS = 7
 """Planes tried along a direction."""
@@ -115,8 +118,7 @@ def _light(mesh: Mesh) -> Mesh:
 
 
 def _by_coacd(mesh: Mesh) -> Decomposition:
-    import coacd
-
+    coacd: Any = importlib.import_module("coacd")
     coacd.set_log_level("error")
     parts = coacd.run_coacd(
         coacd.Mesh(mesh.vertices, mesh.faces),
@@ -144,25 +146,33 @@ def _by_coacd(mesh: Mesh) -> Decomposition:
 
 
 def _by_planes(mesh: Mesh) -> Decomposition:
-    """Cut the part whose hull holds most beyond it, again and again, then merge."""
+    """Cut the part whose hull holds most beyond it, again and again, and merge what the plane
+    separated in vain; the pieces that merging saves go into further cuts.
+    """
     solid = volume_of(mesh.vertices, np.asarray(mesh.faces, np.int32))
-    directions = _directions(mesh)
     first = _Part.of(Cut.of(mesh))
     assert first is not None
     parts, finished = [first], []
-    while parts and len(parts) + len(finished) < MOST_PIECES:
-        worst = max(parts, key=lambda part: part.excess)
-        parts.remove(worst)
-        total = worst.excess + sum(part.excess for part in [*parts, *finished])
-        if total <= EXCESS * solid or worst.excess <= PIECE_EXCESS * solid:
-            finished.append(worst)
+    budget = MOST_PIECES
+    hulls: list[NDArray[np.float64]] = []
+    for _ in range(ROUNDS):
+        while parts and len(parts) + len(finished) < budget:
+            worst = max(parts, key=lambda part: part.excess)
+            total = sum(part.excess for part in [*parts, *finished])
+            if total <= EXCESS * solid or worst.excess <= PIECE_EXCESS * solid:
+                break
+            parts.remove(worst)
+            halves = _best_halves(worst)
+            if halves is None:
+                finished.append(worst)
+            else:
+                parts += halves
+        count = len(parts) + len(finished)
+        hulls = _merged([part.points for part in [*parts, *finished]], MERGE * solid)
+        saved = count - len(hulls)
+        if count < budget or saved == 0:
             break
-        halves = _best_halves(worst, directions)
-        if halves is None:
-            finished.append(worst)
-        else:
-            parts += halves
-    hulls = _merged([part.points for part in [*parts, *finished]], MERGE * solid)
+        budget = MOST_PIECES + saved
     pieces = tuple(_reduced(points, PIECE_VERTICES) for points in hulls)
     return Decomposition(
         pieces, f"cuts by planes, at most {MOST_PIECES} pieces, max vertices {PIECE_VERTICES}"
@@ -189,9 +199,9 @@ class _Part:
         return _Part(piece, vertices[hull.vertices], float(hull.volume) - piece.volume())
 
 
-def _best_halves(part: _Part, directions: NDArray[np.float64]) -> list[_Part] | None:
+def _best_halves(part: _Part) -> list[_Part] | None:
     best, least = None, np.inf
-    for direction in directions:
+    for direction in _directions(part):
         along = part.points @ direction
         low, high = float(along.min()), float(along.max())
         for position in np.linspace(low, high, POSITIONS + 2)[1:-1]:
@@ -210,12 +220,17 @@ def _best_halves(part: _Part, directions: NDArray[np.float64]) -> list[_Part] | 
     return None if None in halves else [half for half in halves if half is not None]
 
 
-def _directions(mesh: Mesh) -> NDArray[np.float64]:
-    """The axes, and the principal ones where they are others: (3 or 6, 3)."""
-    corner = mesh.vertices[mesh.faces]
-    weight = np.linalg.norm(mesh.crosses(), axis=1)
+def _directions(part: _Part) -> NDArray[np.float64]:
+    """The axes, and the principal ones of the part's surface where they are others: (3 to 6, 3).
+
+    Those of a part, not of the whole, halve the sectors of what is round.
+    """
+    corner = part.cut.surface
+    weight = np.linalg.norm(
+        np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1
+    )
     middle = corner.mean(axis=1)
-    offset = middle - np.average(middle, axis=0, weights=weight)
+    offset = middle - weight @ middle / weight.sum()
     principal = np.linalg.eigh((offset * weight[:, None]).T @ offset)[1].T
     new = [axis for axis in principal if np.abs(axis).max() < np.cos(np.deg2rad(8.0))]
     return np.concatenate([np.eye(3), np.array(new).reshape(-1, 3)])
