@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import logging
 import os
+import select
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
 
 from megrasp_core.errors import (
     CancelledError,
@@ -39,20 +39,25 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
     Where whoever reads the output has closed it (`megrasp ... | head`), the command ends without
-    a word, with exit code 1 unless it was done.
+    a word and with exit code 1.
 
     Args:
         args: arguments without the program's name; None: those of the process.
     """
+    for stream in ("stdout", "stderr"):
+        # Closed before the command began (`>&-`).
+        if getattr(sys, stream) is None:
+            setattr(sys, stream, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     logging.basicConfig(level=logging.WARNING, format="megrasp: %(message)s", stream=sys.stderr)
     try:
         code = _run(args)
+        sys.stdout.flush()
     except BrokenPipeError as error:
-        # What is left of the output fails again here, or it was another pipe.
-        if not _output_closed():
+        if _output_closed():
+            _drop_output()
+        else:
             sys.stderr.write(f"megrasp: {error}; a process that it worked with has ended.\n")
         return 1
-    _output_closed()
     return code
 
 
@@ -76,15 +81,18 @@ def _run(args: Sequence[str] | None) -> int:
 
 
 def _output_closed() -> bool:
-    """Whether nobody reads standard output any more; what it still holds is dropped then, or
-    Python would complain at its end.
-    """
+    """Whether nobody reads standard output any more."""
     try:
-        sys.stdout.flush()
-    except BrokenPipeError:
-        with suppress(OSError, ValueError):
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, sys.stdout.fileno())
-            os.close(nowhere)
-        return True
-    return False
+        watch = select.poll()
+        watch.register(sys.stdout.fileno(), 0)
+    except (OSError, ValueError):
+        # A stream of a program that embeds the command, without a file.
+        return False
+    return bool(watch.poll(0))
+
+
+def _drop_output() -> None:
+    """What standard output still holds goes nowhere, or Python would complain at its end."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)

@@ -57,7 +57,7 @@ def repaired(mesh: Mesh) -> Repair:
     parts = [_part(mesh, faces) for faces in _without_loose(mesh, done)]
     turned = sum(part.turned for part in parts)
     if turned:
-        done.append(f"{turned} faces turned")
+        done.append(f"{_counted(turned, 'face')} turned")
     diagonal = _diagonal(mesh.vertices)
     closed_parts, left = [], []
     filled: list[float] = []
@@ -68,7 +68,8 @@ def repaired(mesh: Mesh) -> Repair:
         left += open_holes
     if filled:
         widest = 1000.0 * max(filled)
-        done.append(f"{len(filled)} holes closed, the widest {widest:.0f} mm")
+        width = f"the widest {widest:.0f} mm" if len(filled) > 1 else f"{widest:.0f} mm wide"
+        done.append(f"{_counted(len(filled), 'hole')} closed, {width}")
     meshes = _nested(closed_parts, done) if not left else [part.mesh for part in closed_parts]
     whole = _compact(joined(meshes))
     return Repair(whole, not left and is_closed(whole), tuple(done), tuple(sorted(left)))
@@ -79,6 +80,10 @@ def is_closed(mesh: Mesh) -> bool:
     mesh bounds a volume.
     """
     return len(mesh.faces) > 0 and len(_unmatched(mesh.faces)) == 0
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def _diagonal(vertices: NDArray[np.float64]) -> float:
@@ -99,7 +104,8 @@ def _merged(mesh: Mesh, done: list[str]) -> Mesh:
     faces = np.asarray(mesh.faces, dtype=np.int64)
     whole = np.isfinite(vertices[faces]).all(axis=(1, 2))
     if not whole.all():
-        done.append(f"{int((~whole).sum())} faces with corners that are not finite dropped")
+        count = int((~whole).sum())
+        done.append(f"{_counted(count, 'face')} with a corner that is not finite dropped")
         faces = faces[whole]
     if len(faces) == 0:
         return Mesh(np.zeros((0, 3)), faces.reshape(0, 3))
@@ -115,7 +121,7 @@ def _merged(mesh: Mesh, done: list[str]) -> Mesh:
     _, kept = np.unique(np.sort(faces[proper], axis=1), axis=0, return_index=True)
     dropped = len(faces) - len(kept)
     if dropped:
-        done.append(f"{dropped} degenerate or double faces dropped")
+        done.append(f"{_counted(dropped, 'degenerate or double face')} dropped")
     return Mesh(vertices, faces[proper][np.sort(kept)])
 
 
@@ -135,7 +141,7 @@ def _without_loose(mesh: Mesh, done: list[str]) -> list[NDArray[np.integer]]:
     present = np.unique(part)
     kept = [k for k in present if area[k] >= LOOSE * area.sum()]
     if len(kept) < len(present):
-        done.append(f"{len(present) - len(kept)} loose parts dropped")
+        done.append(f"{_counted(len(present) - len(kept), 'loose part')} dropped")
     return [mesh.faces[part == k] for k in kept]
 
 
@@ -298,9 +304,9 @@ def _nested(parts: list[_Part], done: list[str]) -> list[Mesh]:
         else:
             inner += 1
     if turned:
-        done.append(f"{turned} parts turned outward")
+        done.append(f"{_counted(turned, 'part')} turned outward")
     if inner:
-        done.append(f"{inner} parts inside others dropped")
+        done.append(f"{_counted(inner, 'part')} inside another dropped")
     if overlapping:
         done.append("parts overlap: their common volume counts twice")
     return meshes

@@ -32,7 +32,9 @@ class Cut:
     def volume(self) -> float:
         """m3."""
         triangles = np.concatenate([self.surface, self.cover])
-        a, b, c = (triangles[:, k] - self.surface[0, 0] for k in range(3))
+        if len(triangles) == 0:
+            return 0.0
+        a, b, c = (triangles[:, k] - triangles[0, 0] for k in range(3))
         return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
     def vertices(self) -> FloatArray:

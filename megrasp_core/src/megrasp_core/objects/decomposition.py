@@ -31,16 +31,26 @@ MOST_PIECES = 24
 PIECE_VERTICES, HULL_VERTICES = 48, 82
 THRESHOLD = 0.06
 """CoACD's concavity."""
-EXCESS = 0.03
+EXCESS = 0.015
 """Cutting ends when the hulls hold so much more than the solid, as a share of it."""
-PIECE_EXCESS = 0.0015
+PIECE_EXCESS = 0.001
 """A piece is not cut when its hull holds no more than this beyond it, as a share of the solid."""
 ROUNDS = 3
 """Of cutting and merging."""
-MERGE = 0.003
+MERGE = 0.002
 """Two pieces become one when their common hull holds no more than this beyond theirs."""
 POSITIONS = 7
 """Planes tried along a direction."""
+FACETS = 2
+"""Planes tried at flat areas across a direction."""
+FACET_SHARE, FACET_STEP, ACROSS = 0.01, 0.01, 0.9998
+"""Least share of the area that such a one has, how far such areas are apart as a share of the
+part's length, and the cosine of how far their faces may be off.
+"""
+LITTLE = 0.15
+"""A cut that gains less of the excess is chosen by what comes after it."""
+AHEAD, COARSE = 16, 3
+"""Cuts that are followed by another then, and planes tried along a direction there."""
 BALANCE = 0.03
 """Weight of the difference of two halves against the volume of their hulls."""
 FLAT = 1e-9
@@ -200,24 +210,81 @@ class _Part:
 
 
 def _best_halves(part: _Part) -> list[_Part] | None:
-    best, least = None, np.inf
+    """The halves whose hulls hold least; None where no plane leaves two with a volume.
+
+    A cut through a round hollow gains nothing, but the next one does: where no cut gains much,
+    the best is that whose halves gain most from a cut of their own.
+    """
+    tried = _candidates(part)
+    if not tried:
+        return None
+    whole = part.excess + part.cut.volume()
+    if whole - tried[0].volume < LITTLE * part.excess:
+        for candidate in tried[:AHEAD]:
+            halves = cut(part.cut, candidate.normal, candidate.offset)
+            parts = [half for half in map(_Part.of, halves) if half is not None]
+            gains = 0.0
+            for half in parts:
+                further = _candidates(half, COARSE)
+                if further:
+                    held = half.excess + half.cut.volume()
+                    gains += max(0.0, held - further[0].volume)
+            candidate.volume -= gains
+        tried.sort(key=lambda candidate: candidate.volume)
+    for candidate in tried:
+        halves = [_Part.of(half) for half in cut(part.cut, candidate.normal, candidate.offset)]
+        if None not in halves:
+            return [half for half in halves if half is not None]
+    return None
+
+
+@dataclass(eq=False)
+class _Candidate:
+    """A plane, and what the hulls of its halves hold (m3), balance included."""
+
+    normal: NDArray[np.float64]
+    offset: float
+    volume: float
+
+
+def _candidates(part: _Part, positions: int = POSITIONS) -> list[_Candidate]:
+    """Planes that leave two halves with a volume, those whose hulls hold least first."""
+    found = []
     for direction in _directions(part):
         along = part.points @ direction
         low, high = float(along.min()), float(along.max())
-        for position in np.linspace(low, high, POSITIONS + 2)[1:-1]:
+        even = np.linspace(low, high, positions + 2)[1:-1]
+        for offset in [*even, *_facets(part, direction, low, high)]:
             volumes = []
-            for vertices in halves_of_vertices(part.cut, direction, float(position)):
+            for vertices in halves_of_vertices(part.cut, direction, float(offset)):
                 hull = _hull(vertices)
-                volumes.append(np.inf if hull is None else float(hull.volume))
-            cost = sum(volumes)
-            if np.isfinite(cost):
-                cost += BALANCE * abs(volumes[0] - volumes[1])
-            if cost < least:
-                best, least = (direction, float(position)), cost
-    if best is None:
-        return None
-    halves = [_Part.of(half) for half in cut(part.cut, *best)]
-    return None if None in halves else [half for half in halves if half is not None]
+                if hull is None:
+                    break
+                volumes.append(float(hull.volume))
+            if len(volumes) == 2:
+                balance = BALANCE * abs(volumes[0] - volumes[1])
+                found.append(_Candidate(direction, float(offset), sum(volumes) + balance))
+    return sorted(found, key=lambda candidate: candidate.volume)
+
+
+def _facets(part: _Part, direction: NDArray[np.float64], low: float, high: float) -> list[float]:
+    """Where along a direction the part's surface has its largest flat areas across it: what is
+    made of slabs comes apart exactly there.
+    """
+    corner = part.cut.surface
+    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    length = np.linalg.norm(cross, axis=1)
+    across = np.abs(cross @ direction) > ACROSS * length
+    height = corner[across, 0] @ direction
+    margin = FACET_STEP * (high - low)
+    inner = (height > low + margin) & (height < high - margin)
+    if not inner.any():
+        return []
+    step = np.round((height[inner] - low) / margin).astype(np.int64)
+    area = np.bincount(step, length[across][inner])
+    moment = np.bincount(step, (length[across] * height)[inner])
+    largest = [k for k in np.argsort(-area)[:FACETS] if area[k] > FACET_SHARE * length.sum()]
+    return [float(moment[k] / area[k]) for k in largest]
 
 
 def _directions(part: _Part) -> NDArray[np.float64]:
