@@ -58,6 +58,9 @@ def main(args: Sequence[str] | None = None) -> int:
         else:
             sys.stderr.write(f"megrasp: {error}; a process that it worked with has ended.\n")
         return 1
+    except OSError as error:
+        sys.stderr.write(f"megrasp: {error}; expected a path that can be read or written.\n")
+        return 2
     return code
 
 
@@ -70,11 +73,6 @@ def _run(args: Sequence[str] | None) -> int:
     except MegraspError as error:
         sys.stderr.write(f"megrasp: {error}\n")
         return 1 if isinstance(error, FAILURES) else 2
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        sys.stderr.write(f"megrasp: {error}; expected a path that can be read or written.\n")
-        return 2
     except KeyboardInterrupt:
         sys.stderr.write("megrasp: stopped\n")
         return 1

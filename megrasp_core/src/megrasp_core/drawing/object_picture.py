@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
 from megrasp_core.meshes import Mesh
 from megrasp_core.objects import ObjectModel
@@ -22,6 +22,8 @@ __all__ = ["MOST_ON_SHEET", "draw_object", "object_sheet"]
 
 HALF = (170, 170)
 """Pixels of either half of a tile."""
+TITLE, LONGEST = 22, 40
+"""Pixels above a tile, and characters of the name there."""
 COLUMNS = 4
 MOST_ON_SHEET = 200
 LOOK = np.array([0.55, 0.8, -0.55])
@@ -69,15 +71,20 @@ def object_sheet(models: Sequence[ObjectModel], path: Path) -> Path:
         tiles: list[tuple[Path, str, bool | None]] = []
         for model in models[:MOST_ON_SHEET]:
             file = Path(scratch) / f"{len(tiles)}.png"
-            Image.fromarray((255.0 * draw_object(model) + 0.5).astype(np.uint8)).save(file)
+            _titled(draw_object(model), model.name).save(file)
             size = " x ".join(f"{1000 * edge:.0f}" for edge in model.extents)
-            caption = f"{_short(model.name)}  {size} mm  {model.mass:.2g} kg  {len(model.pieces)}"
-            tiles.append((file, caption, None))
+            pieces = f"{len(model.pieces)} piece{'' if len(model.pieces) == 1 else 's'}"
+            tiles.append((file, f"{size} mm, {model.mass:.2g} kg, {pieces}", None))
         return contact_sheet(tiles, path, columns=COLUMNS, tile_width=2 * HALF[0])
 
 
-def _short(name: str) -> str:
-    return name if len(name) <= 22 else name[:21] + "…"
+def _titled(image: NDArray[np.float64], title: str) -> Image.Image:
+    height, width = image.shape[:2]
+    picture = Image.new("RGB", (width, height + TITLE), "white")
+    picture.paste(Image.fromarray((255.0 * image + 0.5).astype(np.uint8)), (0, TITLE))
+    font = ImageFont.load_default(15)
+    ImageDraw.Draw(picture).text((4, 2), title[:LONGEST], fill=(20, 20, 20), font=font)
+    return picture
 
 
 def _view(points: NDArray[np.float64]) -> Projection:
