@@ -3,7 +3,7 @@
 from .farthest import farthest_from_centroid, farthest_points
 from .mesh import Mesh, joined
 from .rays import Hits, RayScene
-from .repair import Repair, is_closed, repaired, winding_number
+from .repair import Repair, repaired
 from .sampling import SurfaceSample, sample_stratified, sample_uniform
 from .simplifying import simplified
 from .thinning import thinned
@@ -16,12 +16,10 @@ __all__ = [
     "SurfaceSample",
     "farthest_from_centroid",
     "farthest_points",
-    "is_closed",
     "joined",
     "repaired",
     "sample_stratified",
     "sample_uniform",
     "simplified",
     "thinned",
-    "winding_number",
 ]

@@ -6,7 +6,7 @@ from .assets import SPLITS, TRAIN_SETS, asset_objects, is_validation, load_asset
 from .decomposition import Decomposition, Method, decompose
 from .folder import find_objects, load_object, load_objects, save_object
 from .kinds import OBJECT_KINDS, OBSTACLE_KINDS, object_kind
-from .mesh_files import MeshFile, Up, mesh_files, read_mesh
+from .mesh_files import MeshFile, mesh_files, read_mesh
 from .model import ConvexPiece, ObjectModel
 from .object_set import (
     ObjectSet,
@@ -44,7 +44,6 @@ __all__ = [
     "SPLITS",
     "Solid",
     "TRAIN_SETS",
-    "Up",
     "asset_names",
     "asset_objects",
     "balanced_shares",

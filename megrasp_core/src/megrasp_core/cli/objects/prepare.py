@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import tyro
 
 from megrasp_core.cli.common import Flag, say
 from megrasp_core.cli.runs import executor_of, run_bar
-
-if TYPE_CHECKING:
-    from megrasp_core.objects import Prepared
 
 __all__ = ["prepare"]
 
@@ -24,9 +21,8 @@ def prepare(
     scale: float | None = None,
     density: float = 500.0,
     mass: float | None = None,
-    up: Literal["x", "y", "z"] = "z",
     faces: int = 2000,
-    decomposition: Literal["auto", "coacd", "planes", "hull"] = "auto",
+    decomposition: Literal["auto", "coacd", "hull"] = "auto",
     picture: Path | None = None,
     no_picture: Flag = False,
     workers: int = 1,
@@ -41,7 +37,7 @@ def prepare(
 
     Try: megrasp objects prepare scans my_objects
          megrasp objects prepare cad my_objects --scale 0.001 --density 1100 --workers 2
-         megrasp objects prepare mug.glb my_objects --up y --mass 0.3
+         megrasp objects prepare mug.glb my_objects --mass 0.3
          megrasp eval --gripper robotiq_2f85 --objects my_objects --out rates.json
 
     Args:
@@ -53,34 +49,24 @@ def prepare(
         density: kg/m3 of the volume that a mesh encloses; 500 suits household things with the air
             in them.
         mass: kg of every object, in place of the density.
-        up: axis of the meshes that points up; it is turned to z.
         faces: most triangles of the visual mesh.
-        decomposition: convex pieces by the package coacd, by cuts with planes, or one hull; auto:
-            coacd where it is installed, otherwise planes.
+        decomposition: convex pieces by the package coacd, or one hull; auto: coacd where it is
+            installed, otherwise one hull and a warning.
         picture: contact sheet (PNG) of every object beside its convex pieces; DST/objects.png
             without it.
         no_picture: draw none.
         workers: processes.
     """
-    from tqdm import tqdm
-
     from megrasp_core.objects import PrepareSettings, load_object, prepare_objects
 
-    settings = PrepareSettings(scale, density, mass, up, faces, decomposition)
-
-    def told(prepared: Prepared) -> None:
-        with tqdm.external_write_mode():
-            say(prepared.line())
+    settings = PrepareSettings(scale, density, mass, faces, decomposition)
 
     with run_bar("objects") as tell:
         summary = prepare_objects(
-            source,
-            destination,
-            settings,
-            executor_of("local", None, workers),
-            on_object=told,
-            on_progress=tell,
+            source, destination, settings, executor_of("local", None, workers), tell
         )
+    for line in summary.made:
+        say(line)
     run = summary.run
     kept = f", kept {summary.kept}" if summary.kept else ""
     say(f"wrote {run.done} objects to {destination} in {run.seconds:.0f} s{kept}")
