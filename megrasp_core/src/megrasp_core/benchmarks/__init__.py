@@ -3,4 +3,5 @@
 - `synthesis`, `training`, `data`, `rendering`: what `megrasp bench` measures.
 - `trial_profile`, `rate_tables`, `data_plan`: where the time of a trial goes, tables, core-hours
   of a large data set.
+- `object_pieces`: convex pieces of prepared objects against those of others.
 """

@@ -26,6 +26,7 @@ from .gripper.inspect import check, listed, render, show
 from .gripper.new import new, score_wizard
 from .gripper.postures import postures
 from .gripper.sample import sample
+from .objects.compare import compare as compare_objects
 from .objects.generate import generate
 from .objects.prepare import prepare
 from .synthesize import synthesize
@@ -54,7 +55,10 @@ COMMANDS: dict[str, Command | tuple[str, dict[str, Command]]] = {
             "score-wizard": score_wizard,
         },
     ),
-    "objects": ("Make objects to grasp.", {"generate": generate, "prepare": prepare}),
+    "objects": (
+        "Make objects to grasp.",
+        {"generate": generate, "prepare": prepare, "compare": compare_objects},
+    ),
     "data": (
         "Make, pack and check training data.",
         {

@@ -26,7 +26,7 @@ from .preparation import (
     prepare_objects,
 )
 from .procedural import generate_objects, procedural_object
-from .solids import Solid, box, mass_properties, stack
+from .solids import Solid, box, mass_properties, stack, volume_of
 
 __all__ = [
     "ConvexPiece",
@@ -68,4 +68,5 @@ __all__ = [
     "stack",
     "training_objects",
     "validation_objects",
+    "volume_of",
 ]
