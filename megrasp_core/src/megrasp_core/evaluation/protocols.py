@@ -36,6 +36,8 @@ SIDE_VIEW = 0.9
 """How steeply a single camera beside a table looks down (rad)."""
 CROPPED = 0.008
 """Up to this height over the table (m) a cloud is cut where the table is cut away."""
+BESIDE = 0.05
+"""So far outside the region (m) objects stay in such a cloud: they are still in the way."""
 
 PROTOCOLS: tuple[ProtocolName, ...] = ("binpick", "declutter", "single")
 
@@ -175,7 +177,8 @@ def run_scene(
         cloud = cycle.look(cameras, settings.noise, rng)
         region = TABLE_REGION if world.bin is None else world.bin.region()
         if settings.crop_floor:
-            cloud = cloud.select(region.contains(cloud.points) & (cloud.points[:, 2] > CROPPED))
+            near = region.grown(BESIDE).contains(cloud.points)
+            cloud = cloud.select(near & (cloud.points[:, 2] > CROPPED))
         options = {
             "region": None if settings.crop_floor else region,
             "walls": world.bin is not None,
