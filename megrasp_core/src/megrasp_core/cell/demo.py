@@ -158,6 +158,8 @@ def _attempt(
         objects_left=result.objects_left,
         score=float(grasp.score),
         width=float(grasp.width),
+        width_tolerance=float(grasp.width_tolerance),
+        closed_width=float(result.width),
         execution_seconds=time.monotonic() - begun,
         **common,
     )
