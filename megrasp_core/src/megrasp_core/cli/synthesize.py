@@ -302,6 +302,9 @@ def _report(result: Synthesis) -> None:
         f"{result.evaluations} evaluations, {result.timing['total']:.2f} s, seed {result.seed}"
     )
     say(f"not returned: {counts or 'none'}")
+    if not free:
+        for hint in result.hints:
+            say(f"  {hint}")
     for rank, grasp in enumerate(result.grasps[:5], start=1):
         x, y, z = grasp.world_from_tcp[:3, 3]
         width = "" if np.isnan(grasp.width) else f", width {1000 * grasp.width:.0f} mm"
