@@ -29,6 +29,7 @@ from .gripper.sample import sample
 from .objects.compare import compare as compare_objects
 from .objects.generate import generate
 from .objects.prepare import prepare
+from .serve import serve
 from .synthesize import synthesize
 from .train import train
 
@@ -40,6 +41,7 @@ Command = Callable[..., int]
 COMMANDS: dict[str, Command | tuple[str, dict[str, Command]]] = {
     "demo": demo,
     "synthesize": synthesize,
+    "serve": serve,
     "gripper": (
         "List, show, check, draw and add grippers.",
         {

@@ -244,15 +244,9 @@ def _gravity(
 def _floor(numbers: tuple[float, ...] | None) -> Plane | float | None:
     if numbers is None or len(numbers) == 1:
         return None if numbers is None else numbers[0]
-    length = float(np.linalg.norm(numbers[:3])) if len(numbers) == 4 else 0.0
-    if not np.isfinite(numbers).all() or length < 1e-6:
-        raise InvalidRequestError(
-            f"--floor {' '.join(map(str, numbers))} was given; expected a height, or the four "
-            "numbers nx ny nz d of a plane whose normal points up."
-        )
     from megrasp_core.pointcloud import Plane
 
-    return Plane(np.asarray(numbers[:3]) / length, numbers[3] / length)
+    return Plane.of(numbers)
 
 
 def _factor(scale: float) -> float:
