@@ -81,6 +81,10 @@ def grasp_array(
                 clearance=_number(grasp.clearance),
                 tilt=_number(grasp.tilt),
                 collision_free=bool(grasp.collision_free),
+                retreat=pose_from_matrix(grasp.world_from_gripper_retreat),
+                width_tolerance=_number(grasp.width_tolerance),
+                opening=_number(grasp.opening),
+                object=-1 if grasp.object is None else int(grasp.object),
             )
             for rank, grasp in enumerate(grasps)
         ],

@@ -174,7 +174,7 @@ def test_which_object_is_grasped(franka: Gripper) -> None:
 
 def test_a_target_without_points_is_refused() -> None:
     cloud = heap([(0.0, 0.0, 0.03, 0.06, 0.05)])
-    with pytest.raises(InvalidRequestError, match="target 4 .* labels of the mask: 1"):
+    with pytest.raises(InvalidRequestError, match=r"target 4 .* labels of the mask: 1"):
         judge_of(cloud, SynthesisRequest(seed=0, target=4))
     unlabelled = Cloud(cloud.points, None, SENSOR)
     with pytest.raises(InvalidRequestError, match="none"):

@@ -27,6 +27,7 @@ class PickCycle:
             excluded from the next plan.
         failures: attempts without success since then; more than `failed` holds where nothing was
             found to execute.
+        joints: of the gripper at the end of the last attempt, before it left.
     """
 
     def __init__(self, world: World, obstacles: Collection[int] = ()) -> None:
@@ -34,6 +35,7 @@ class PickCycle:
         self.obstacles = frozenset(obstacles)
         self.failed: list[NDArray[np.float64]] = []
         self.failures = 0
+        self.joints: dict[str, float] = {}
 
     @property
     def left(self) -> list[int]:
@@ -86,6 +88,7 @@ class PickCycle:
         before = self.world.save()
         try:
             verdict = self._try(world_from_gripper, approach, opening)
+            self.joints = self.world.hand.joints()
             self.clear(verdict.lifted if verdict.success else ())
         except SimulationError:
             self.world.restore(before)

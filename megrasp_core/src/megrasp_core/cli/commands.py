@@ -27,7 +27,10 @@ from .gripper.inspect import check, listed, render, show
 from .gripper.new import new, score_wizard
 from .gripper.postures import postures
 from .gripper.sample import sample
-from .objects import generate
+from .objects.compare import compare as compare_objects
+from .objects.generate import generate
+from .objects.prepare import prepare
+from .serve import serve
 from .synthesize import synthesize
 from .train import train
 
@@ -39,6 +42,7 @@ Command = Callable[..., int]
 COMMANDS: dict[str, Command | tuple[str, dict[str, Command]]] = {
     "demo": demo,
     "synthesize": synthesize,
+    "serve": serve,
     "gripper": (
         "List, show, check, draw and add grippers.",
         {
@@ -55,7 +59,10 @@ COMMANDS: dict[str, Command | tuple[str, dict[str, Command]]] = {
         },
     ),
     "bin": ("Find bins in clouds.", {"find": find}),
-    "objects": ("Make objects to grasp.", {"generate": generate}),
+    "objects": (
+        "Make objects to grasp.",
+        {"generate": generate, "prepare": prepare, "compare": compare_objects},
+    ),
     "data": (
         "Make, pack and check training data.",
         {

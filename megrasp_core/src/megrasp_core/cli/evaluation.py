@@ -26,7 +26,7 @@ def evaluation(
     returned: int = 20,
     friction: float = 0.8,
     views: int = 10,
-    crop_floor: Flag = False,
+    crop_floor: Literal["known", "estimated"] | None = None,
     model: str | None = None,
     baseline: Flag = False,
     ceiling: Flag = False,
@@ -45,7 +45,8 @@ def evaluation(
       megrasp eval --gripper robotiq_2f85 --out binpick.json
       megrasp eval --gripper robotiq_2f85 --objects $MEGRASP_ASSETS/objects/devtest --out o.json
       megrasp eval --gripper robotiq_2f85 --baseline --out baseline.json
-      megrasp eval --gripper franka_hand --protocol declutter --views 1 --crop-floor --out c.json
+      megrasp eval --gripper franka_hand --protocol declutter --views 1 --out side.json
+      megrasp eval --gripper franka_hand --protocol declutter --crop-floor known --out c.json
       megrasp eval --gripper robotiq_2f140 --without openings sweep --out plain.json
       megrasp eval --gripper robotiq_2f85 --ceiling --samples 0 --out ceiling.json
 
@@ -62,7 +63,8 @@ def evaluation(
         returned: grasps returned per synthesis.
         friction: of everything.
         views: cameras around a table; 1: one side view, 52 degrees down.
-        crop_floor: cut the table from the cloud, as for planners that want segmented objects.
+        crop_floor: cut the table from the cloud, as for planners that want segmented objects, and
+            tell the planner its height and the region, or leave both to be estimated.
         model: id or folder.
         baseline: the analytic antipodal baseline instead of the model.
         ceiling: a planner that knows the true geometry and tries grasps before it names one: how

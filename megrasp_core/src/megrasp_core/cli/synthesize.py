@@ -221,15 +221,9 @@ def _read_views(paths: tuple[Path, ...], frame: str, factor: float, *, given: bo
 def _floor(numbers: tuple[float, ...] | None) -> Plane | float | None:
     if numbers is None or len(numbers) == 1:
         return None if numbers is None else numbers[0]
-    length = float(np.linalg.norm(numbers[:3])) if len(numbers) == 4 else 0.0
-    if not np.isfinite(numbers).all() or length < 1e-6:
-        raise InvalidRequestError(
-            f"--floor {' '.join(map(str, numbers))} was given; expected a height, or the four "
-            "numbers nx ny nz d of a plane whose normal points up."
-        )
     from megrasp_core.pointcloud import Plane
 
-    return Plane(np.asarray(numbers[:3]) / length, numbers[3] / length)
+    return Plane.of(numbers)
 
 
 def _assumed_sensor(cloud: Cloud, down: tuple[float, float, float]) -> np.ndarray:
@@ -260,6 +254,9 @@ def _report(result: Synthesis) -> None:
         f"{result.evaluations} evaluations, {result.timing['total']:.2f} s, seed {result.seed}"
     )
     say(f"not returned: {counts or 'none'}")
+    if not free:
+        for hint in result.hints:
+            say(f"  {hint}")
     for rank, grasp in enumerate(result.grasps[:5], start=1):
         x, y, z = grasp.world_from_tcp[:3, 3]
         width = "" if np.isnan(grasp.width) else f", width {1000 * grasp.width:.0f} mm"

@@ -26,7 +26,9 @@ class SweepSettings:
         play: the pads stop so far from what is between them, on either side (m).
         edge: what is seen up to here beside the material is part of it (m): its steep sides, and
             what a camera smears over an edge.
-        max_hits: so many finger points in floor, walls or seen bodies are tolerated: noise.
+        max_structure: so many finger points in floor or walls are tolerated.
+        max_inside: so many in seen bodies beside the material; of those with less, as many succeed
+            as of those with none.
         back_off: a grasp that hits is tried again so far back along its approach (m), nearest
             first.
         least_engagement: the fingertips have to reach so far past the top of the material after
@@ -36,7 +38,8 @@ class SweepSettings:
     steps: int = 5
     play: float = 0.003
     edge: float = 0.010
-    max_hits: int = 0
+    max_structure: int = 0
+    max_inside: int = 8
     back_off: tuple[float, ...] = (0.003, 0.006, 0.009, 0.012, 0.015)
     least_engagement: float = 0.008
 
@@ -48,18 +51,18 @@ def sweep_hits(
     contacts: Contacts,
     settings: SweepSettings | None = None,
 ) -> np.ndarray:
-    """Finger points (N,) in floor, walls, or seen bodies beside the grasped material, at the worst
-    posture between the opening of the probe and the contact.
+    """Whether (N,) the fingers hit floor, walls, or seen bodies beside the grasped material
+    between the opening of the probe and the contact.
 
     Args:
         observation: what was seen.
         probe: the gripper at the opening that the grasps start from.
         world_from_gripper: (N, 4, 4) pre-grasps.
-        contacts: of the same grasps; 0 hits where nothing is between the fingers.
+        contacts: of the same grasps; false where nothing is between the fingers.
         settings: see `SweepSettings`.
     """
     s = settings or SweepSettings()
-    hits = np.zeros(len(world_from_gripper), dtype=np.int64)
+    hits = np.zeros(len(world_from_gripper), dtype=bool)
     rows = np.flatnonzero(np.isfinite(contacts.width))
     path, volume = probe.closing, probe.volume
     if path is None or volume is None or not len(rows) or not s.steps:
@@ -74,6 +77,7 @@ def sweep_hits(
     state = state.reshape(fingers.shape[:3])
     x = np.abs(fingers[..., 0] - (volume.centre + offset)[:, None, None])
     grasped = x <= (width / 2 + s.edge)[:, None, None]
-    hit = (state >= PointState.WALL) | ((state == PointState.INSIDE) & ~grasped)
-    hits[rows] = hit.sum(axis=2).max(axis=1)
+    structure = (state >= PointState.WALL).sum(axis=2).max(axis=1)
+    inside = ((state == PointState.INSIDE) & ~grasped).sum(axis=2).max(axis=1)
+    hits[rows] = (structure > s.max_structure) | (inside > s.max_inside)
     return hits

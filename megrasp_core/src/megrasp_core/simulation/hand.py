@@ -102,6 +102,12 @@ class Hand:
         """Command the fingers: 0 the open posture, 1 the closed one, linear between."""
         self._ctrl[:] = self._controls["open"] + share * self._stroke
 
+    def joints(self) -> dict[str, float]:
+        """Positions of the gripper's joints now, by name; locked ones are left out."""
+        addresses, _ = self._postures["open"]
+        names = [name for name in self.gripper.posture("open") if name not in self._idle]
+        return dict(zip(names, self._data.qpos[addresses].tolist(), strict=True))
+
     def pose(self) -> NDArray[np.float64]:
         """World-from-gripper (4, 4) where the gripper is now."""
         return read_pose(self._data.qpos, self._mount)

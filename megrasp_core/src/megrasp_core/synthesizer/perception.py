@@ -80,7 +80,9 @@ def perceive(
     return Perceived(
         scene_nodes(surface, scene),
         SceneJudge(surface, request, ranking, objects),
-        only_support_left(surface.points, request.region, surface.gravity),
+        # Under a floor that is only thought to be there, a flat object may be all that is seen.
+        not structure.estimated
+        and only_support_left(surface.points, request.region, surface.gravity),
         (structure.note,) if structure.note else (),
         objects,
     )

@@ -99,6 +99,7 @@ class Synthesis:
         model: id.
         bin_empty: nothing but the support surface was seen, so that nothing was drawn.
         notes: what was taken for granted or looks wrong, in sentences.
+        hints: what most of the drawn poses failed for and what to do about it, in sentences.
         extra: further entries of grasps.json.
     """
 
@@ -112,6 +113,7 @@ class Synthesis:
     model: str
     bin_empty: bool = False
     notes: tuple[str, ...] = ()
+    hints: tuple[str, ...] = ()
     extra: dict[str, Any] = field(default_factory=dict)
 
     def to_json(self, frame: str = "world") -> dict[str, Any]:
@@ -132,6 +134,7 @@ class Synthesis:
             "timing": {key: round(value, 5) for key, value in self.timing.items()},
             **({"bin_empty": True} if self.bin_empty else {}),
             **({"notes": list(self.notes)} if self.notes else {}),
+            **({"hints": list(self.hints)} if self.hints else {}),
             **self.extra,
         }
 

@@ -28,6 +28,7 @@ from megrasp_core.pointcloud import Cloud, SceneSettings
 from megrasp_core.ranking import rejection_counts
 
 from .assessor import Assessor, MountedGripper
+from .hints import hints
 from .perception import Perceived, perceive
 from .polish import polish
 from .repairs import backed_off, turned_over
@@ -111,7 +112,9 @@ class SynthesisRun:
             final = backed_off(assessor.samples(poses), assessor.poses, ranking.sweep)
             final = self._polished(assessor, final)
             grasps, rejected = rank_poses(final, self.mounted.probe, request, ranking, left_out)
-        return self._answer(grasps, rejected, start)
+            parts = [(final, np.arange(len(final))), *([left_out] if left_out else [])]
+            told = hints(parts, seen.judge.observation, self.mounted.probe, request)
+        return self._answer(grasps, rejected, start, told=told)
 
     def _answer(
         self,
@@ -120,6 +123,7 @@ class SynthesisRun:
         start: float,
         *,
         empty: bool = False,
+        told: tuple[str, ...] = (),
     ) -> Synthesis:
         self.timing["total"] = time.perf_counter() - start
         if not grasps and rejected.get("score"):
@@ -141,6 +145,7 @@ class SynthesisRun:
             model=self.model.model_id,
             bin_empty=empty,
             notes=self.notes,
+            hints=told,
         )
 
     def _at_target(self, seen: Perceived, field: SceneField) -> tuple[Tensor, Tensor] | None:

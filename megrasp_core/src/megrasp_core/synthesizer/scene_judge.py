@@ -203,7 +203,7 @@ class SceneJudge:
             rows = np.flatnonzero((level == index) & check.passed)
             found = between.part(rows)
             hits = sweep_hits(self.observation, probe, poses.gripper[rows], found, s)
-            check.reason[rows[hits > s.max_hits]] = "sweep"
+            check.reason[rows[hits]] = "sweep"
 
     def _check_retreat(
         self,
