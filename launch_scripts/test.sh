@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# Sets up what is missing, then runs every check: ruff, pyright, all tests. Ends with pytest's summary; exit code 0
-# only if everything passed.
+# Sets up what is missing, then runs every check: ruff, pyright, all tests. Ends with pytest's summaries, one of the
+# core's tests and one of the nodes'; exit code 0 only if everything passed.
 #
 #   bash launch_scripts/test.sh [pytest arguments]
 #
 # Variables: those of setup.sh; MEGRASP_ASSETS, the folder of real grippers and objects (tests that need it are
 # skipped without); MEGRASP_TEST_WORKERS, processes that share the tests (by default one a core, two at most);
-# MEGRASP_JUNIT, a file for pytest's JUnit report.
+# MEGRASP_JUNIT, an .xml file for pytest's JUnit report; that of the nodes goes beside it, NAME_ros.xml.
 
 set -euo pipefail
 
@@ -38,10 +38,27 @@ echo "[test] pytest"
 # dash comes with open3d and brings a pytest plugin that nobody needs here
 # The same examples in every run, so that a run tells of this change; `pytest tests` alone draws new ones.
 options=(-q -p no:dash --hypothesis-profile=ci)
-cores="$(nproc)"
+# nproc obeys OMP_NUM_THREADS, which has nothing to do with the number of processes.
+cores="$(env -u OMP_NUM_THREADS nproc)"
 # A file stays in one process, so that what its tests share is made once.
 options+=(-n "${MEGRASP_TEST_WORKERS:-$((cores < 2 ? cores : 2))}" --dist loadfile)
-if [ -n "${MEGRASP_JUNIT:-}" ]; then options+=("--junitxml=$MEGRASP_JUNIT"); fi
-python -m pytest "${options[@]}" "$@" || status=1
+
+run_tests() {  # NAME [pytest arguments]
+  local junit=()
+  if [ -n "${MEGRASP_JUNIT:-}" ]; then junit=("--junitxml=${MEGRASP_JUNIT%.xml}$1.xml"); fi
+  python -m pytest "${options[@]}" "${junit[@]}" "${@:2}" || status=1
+}
+
+chosen=false
+for argument in "$@"; do
+  if [ -e "${argument%%::*}" ]; then chosen=true; fi
+done
+if $chosen; then
+  run_tests "" "$@"
+else
+  # Apart from each other: threads that spin nodes do not get along with tests that send signals.
+  run_tests "" tests/core tests/golden "$@"
+  run_tests _ros tests/ros "$@"
+fi
 
 exit "$status"

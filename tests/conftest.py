@@ -66,11 +66,14 @@ def ray_cluster() -> Iterator[None]:
     """Start Ray on this machine, or skip; its workers find the helper modules of the tests."""
     ray = pytest.importorskip("ray", reason="ray is missing: pip install 'megrasp-core[ray]'")
     helpers = [str(SUPPORT), os.environ.get("PYTHONPATH", "")]
+    before = signal.getsignal(signal.SIGTERM)
     ray.init(
         num_cpus=2,
         include_dashboard=False,
         log_to_driver=False,
         runtime_env={"env_vars": {"PYTHONPATH": os.pathsep.join(filter(None, helpers))}},
     )
+    # Ray takes SIGTERM for itself, and the tests of other files share the process.
+    signal.signal(signal.SIGTERM, before)
     yield
     ray.shutdown()

@@ -16,7 +16,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 
 from megrasp_core.errors import CloudError, InvalidRequestError
 from megrasp_core.lie import matrix_from_pose7, pose7_from_matrix
-from megrasp_core.pointcloud import OrientedBox
+from megrasp_core.pointcloud import Cloud, OrientedBox, without_zeros
 
 FloatArray = NDArray[np.float64]
 
@@ -34,10 +34,10 @@ _TYPES = {
 
 def points_from_cloud(message: PointCloud2) -> FloatArray:
     """Return the finite points (N, 3) of a cloud, in its own frame (m), in the order of the
-    message.
+    message; those that are exactly 0 0 0 are pixels without a reading and left out.
 
     Raises CloudError when the cloud is empty, has no numeric fields x, y and z, its data is
-    shorter than its layout says, or no point is finite.
+    shorter than its layout says, or no point is a reading.
     """
     count = message.width * message.height
     if count == 0:
@@ -52,13 +52,13 @@ def points_from_cloud(message: PointCloud2) -> FloatArray:
         strides=(message.row_step if message.height > 1 else 0, message.point_step),
     )
     points = np.stack([records[axis].astype(np.float64) for axis in "xyz"], axis=-1).reshape(-1, 3)
-    finite = np.isfinite(points).all(axis=1)
-    if not finite.any():
+    seen = without_zeros(Cloud(points).finite())
+    if not len(seen):
         raise CloudError(
-            f"none of the {count} points of the cloud is finite; expected depth readings in "
-            "metres. Check that the camera sees the scene within its range."
+            f"none of the {count} points of the cloud is a reading: all are NaN, infinite or 0 0 "
+            "0; expected metres. Check that the camera sees the scene within its range."
         )
-    return points[finite]
+    return seen.points
 
 
 def _point_dtype(message: PointCloud2) -> np.dtype:

@@ -126,7 +126,7 @@ def changed(**values: object) -> PointCloud2:
     ("message", "words"),
     [
         (PointCloud2(), ["empty", "at least one point", "camera"]),
-        (cloud(np.full((4, 3), np.nan)), ["none of the 4 points", "finite", "metres"]),
+        (cloud(np.full((4, 3), np.nan)), ["none of the 4 points", "infinite", "metres"]),
         (without_z(), ["lacks z", "['x', 'y']", "Remap"]),
         (changed(fields=[]), ["none", "x, y, z"]),
         (changed(data=array("B", b"abc")), ["3 bytes", "expected 48", "cut"]),

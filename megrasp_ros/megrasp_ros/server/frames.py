@@ -101,6 +101,11 @@ class FrameSource:
         )
 
 
+def is_optical(frame: str) -> bool:
+    """Whether a frame is a camera's by its name (REP 103): x right, y down, z forward."""
+    return frame.endswith(_OPTICAL)
+
+
 def gravity_in(frame: str, settings: Settings) -> FloatArray:
     """Return the unit vector (3,) of gravity in the planning frame `frame`.
 
@@ -109,7 +114,7 @@ def gravity_in(frame: str, settings: Settings) -> FloatArray:
     """
     if settings.gravity is not None:
         return settings.gravity
-    if frame.endswith(_OPTICAL):
+    if is_optical(frame):
         raise GravityError(
             f"the direction of gravity is not known: grasps are asked for in {frame!r}, an "
             "optical frame, and the parameter gravity is not set. Add the line `gravity: [0.0, "

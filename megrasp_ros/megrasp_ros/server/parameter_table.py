@@ -88,6 +88,15 @@ def _size(value: Sequence[float]) -> str:
     return f"{list(value)} was given; expected three edges over 0 (m), or all 0 for no region"
 
 
+def _floor(value: Sequence[float]) -> str:
+    if len(value) == 1 and math.isfinite(value[0]):
+        return ""
+    wrong = _numbers(4, "nx, ny, nz, d of a plane; or one number, its height")(value)
+    if wrong or not any(value) or any(value[:3]):
+        return wrong
+    return f"{list(value)} was given; expected a normal that is not 0 0 0"
+
+
 TABLE: dict[str, Spec] = {
     "autostart": Spec(
         True,
@@ -140,6 +149,18 @@ TABLE: dict[str, Spec] = {
     "region.walls": Spec(
         True,
         "the sides of the region are walls and its bottom the floor: grasps may not cross them",
+    ),
+    "floor": Spec(
+        [0.0] * 4,
+        "the surface that the objects lie on, in the planning frame, for clouds that do not show "
+        "it: one number, its height over the origin against gravity (m), or nx, ny, nz, d of the "
+        "plane nx x + ny y + nz z = d whose normal points up; four times 0: not known",
+        check=_floor,
+    ),
+    "assume_empty": Spec(
+        False,
+        "where the camera saw nothing there is floor or, in a region with walls, wall; otherwise "
+        "that is said only of a floor that shows almost nowhere",
     ),
     "cloud_max_age": Spec(5.0, "oldest cloud that is used (s, by its stamp); 0: any", 0.0, 3600.0),
     "cloud_timeout": Spec(5.0, "longest wait for a cloud on `points` (s)", 0.05, 600.0),

@@ -5,6 +5,7 @@ Changes are checked when they are made and take effect with the next request.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +20,7 @@ from rclpy.parameter import Parameter
 
 from megrasp_core.errors import InvalidRequestError
 from megrasp_core.grippers import Gripper
-from megrasp_core.pointcloud import OrientedBox
+from megrasp_core.pointcloud import OrientedBox, Plane
 from megrasp_ros.conversions import matrix_from_numbers
 
 from .parameter_table import FLANGE_PREFIX, IDENTITY, TABLE, pose_check
@@ -42,6 +43,8 @@ class Settings:
     pose_reference: str
     region: OrientedBox | None
     region_walls: bool
+    floor: Plane | float | None
+    assume_empty: bool
     cloud_max_age: float
     cloud_timeout: float
     num_grasps: int
@@ -136,6 +139,7 @@ def read(node: Node) -> Settings:
             "gripper_paths": tuple(path for path in values["gripper_paths"] if path),
             "rack": tuple(name for name in values["rack"] if name),
             "region": region,
+            "floor": _floor(values["floor"]),
             "extrinsics": matrix_from_numbers(extrinsics, "extrinsics")
             if any(extrinsics)
             else None,
@@ -143,3 +147,11 @@ def read(node: Node) -> Settings:
             "sensor_origin": np.array(values["sensor_origin"], dtype=np.float64),
         }
     )
+
+
+def _floor(numbers: Sequence[float]) -> Plane | float | None:
+    if len(numbers) == 1:
+        return float(numbers[0])
+    normal = np.asarray(numbers[:3], dtype=np.float64)
+    length = float(np.linalg.norm(normal))
+    return Plane(normal / length, float(numbers[3]) / length) if length else None

@@ -13,13 +13,13 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
 from megrasp_core.grippers import Gripper
-from megrasp_core.pointcloud import Cloud
+from megrasp_core.pointcloud import Cloud, check_view
 from megrasp_ros.conversions import points_from_cloud
 from megrasp_ros.errors import BinEmptyError
 
 from .clouds import CloudSource
 from .engine import Engine, best_of
-from .frames import FrameSource, gravity_in
+from .frames import FrameSource, gravity_in, is_optical
 from .grasp_messages import Outcome, grasp_array, rejection_counts, timing_message
 from .parameters import Settings
 from .requests import ParsedRequest
@@ -69,7 +69,7 @@ class SynthesisRunner:
         waited = job.elapsed
         step("perceive", 0, 1)
         perceived = time.monotonic()
-        cloud, header, gravity = self._perceive(message, settings)
+        cloud, header, gravity = self._perceive(message, request, settings)
         job.check()
         perceive = time.monotonic() - perceived
         results = [
@@ -107,16 +107,20 @@ class SynthesisRunner:
         return outcome
 
     def _perceive(
-        self, message: PointCloud2, settings: Settings
+        self, message: PointCloud2, request: ParsedRequest, settings: Settings
     ) -> tuple[Cloud, Header, FloatArray]:
         """Return the cloud in the planning frame, the header of the answer and gravity (3,) in
         that frame.
         """
         frame, planning_from_cloud = self._frames.planning_from_cloud(message.header, settings)
         gravity = gravity_in(frame, settings)
-        cloud = Cloud(points_from_cloud(message), None, settings.sensor_origin).transformed(
-            planning_from_cloud
-        )
+        points = points_from_cloud(message)
+        region = request.region
+        if region is not None:
+            region = region.transformed(np.linalg.inv(planning_from_cloud))
+        # Gravity is looked at in the planning frame, with everything else, before the synthesis.
+        check_view(points, region=region, optical=is_optical(message.header.frame_id))
+        cloud = Cloud(points, None, settings.sensor_origin).transformed(planning_from_cloud)
         self.last_points = cloud.points
         return cloud, Header(stamp=message.header.stamp, frame_id=frame), gravity
 
@@ -137,6 +141,8 @@ class SynthesisRunner:
             "gravity": gravity,
             "region": request.region,
             "walls": settings.region_walls,
+            "floor": settings.floor,
+            "assume_empty": settings.assume_empty,
             "max_tilt": request.max_tilt if request.max_tilt < np.pi else None,
             "approach_distance": settings.approach_distance,
             "approach_direction": settings.approach_direction,

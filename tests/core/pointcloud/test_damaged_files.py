@@ -176,7 +176,7 @@ def test_a_depth_image_with_its_camera(tmp_path: Path) -> None:
     assert len(cloud) == 23 and cloud.viewpoint is not None and not cloud.viewpoint.any()
     np.testing.assert_allclose(cloud.points[-1], [0.5 * 2.5 / 100, 0.5 * 1.5 / 200, 0.5])
     np.savez(tmp_path / "b.npz", depth=(1000 * depth).astype(np.uint16), K=matrix)
-    with pytest.raises(CloudError, match="whole millimetres divided by 1000"):
+    with pytest.raises(CloudError, match="Divide whole millimetres by 1000"):
         read_cloud(tmp_path / "b.npz")
 
 

@@ -44,7 +44,7 @@ def test_the_space_of_an_occluded_neighbour_is_unseen_not_free(seen):
     for observation in (with_neighbour, without):
         assert states(observation, inside_the_neighbour) == [PointState.UNSEEN]
     np.testing.assert_array_equal(
-        with_neighbour.image.seen, without.image.seen, "the neighbour is not wholly hidden"
+        with_neighbour.images[0].seen, without.images[0].seen, "the neighbour is not wholly hidden"
     )
     assert states(without, (0.10, 0.0, 0.015)) == [PointState.FREE]
 

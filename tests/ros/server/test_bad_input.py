@@ -61,7 +61,17 @@ BAD_REQUESTS = {
     "all NaN": (
         lambda c: {"cloud": cloud_of(c, np.full((5, 3), np.nan))},
         ErrorCode.BAD_CLOUD,
-        ["none of the 5", "finite"],
+        ["none of the 5", "NaN, infinite or 0 0 0"],
+    ),
+    "all 0 0 0": (
+        lambda c: {"cloud": cloud_of(c, np.zeros((5, 3)))},
+        ErrorCode.BAD_CLOUD,
+        ["none of the 5", "NaN, infinite or 0 0 0"],
+    ),
+    "millimetres": (
+        lambda c: {"cloud": cloud_of(c, 1000 * POINTS)},
+        ErrorCode.BAD_CLOUD,
+        ["looks like millimetres", "0.001"],
     ),
     "no z": (lambda c: {"cloud": without_z(c)}, ErrorCode.BAD_CLOUD, ["lacks z"]),
     "unknown gripper": (

@@ -122,6 +122,15 @@ def check_real_answers(client: Client, request: dict) -> None:
     far.size.x = far.size.y = far.size.z = 0.1
     nothing = client.synthesize(**request, region=far)
     assert nothing.error_code == ErrorCode.EMPTY_REGION, nothing.error_msg
+    camera_axes = table_points() * (1, -1, -1) + np.array([0.0, 0.0, 0.85])
+    assert not client.parameters(sensor_origin=[0.0] * 3)
+    cloud = stamped_cloud(client.node, camera_axes, "scanner_sensor")
+    turned = client.synthesize(num_grasps=3, cloud=cloud)
+    assert turned.error_code == ErrorCode.TRANSFORM_OR_GRAVITY_MISSING, turned.error_msg
+    assert "seems to be a camera's" in turned.error_msg
+    assert not client.parameters(gravity=[0.0, 0.0, 1.0])
+    assert client.synthesize(num_grasps=3, cloud=cloud).error_code in found_or_not
+    assert not client.parameters(gravity=[0.0] * 3, sensor_origin=[0.0, 0.0, 0.85])
     handle = client.goal(**request)
     finished = client.outcome(handle)
     client.cancel(handle)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from tyro.extras import SubcommandApp
 
 from .bench import bench
+from .bin import find
 from .calibrate import calibrate
 from .compare import compare
 from .data.generate import grasps, scenes, stats
@@ -26,7 +27,10 @@ from .gripper.inspect import check, listed, render, show
 from .gripper.new import new, score_wizard
 from .gripper.postures import postures
 from .gripper.sample import sample
-from .objects import generate
+from .objects.compare import compare as compare_objects
+from .objects.generate import generate
+from .objects.prepare import prepare
+from .serve import serve
 from .synthesize import synthesize
 from .train import train
 
@@ -38,6 +42,7 @@ Command = Callable[..., int]
 COMMANDS: dict[str, Command | tuple[str, dict[str, Command]]] = {
     "demo": demo,
     "synthesize": synthesize,
+    "serve": serve,
     "gripper": (
         "List, show, check, draw and add grippers.",
         {
@@ -53,7 +58,11 @@ COMMANDS: dict[str, Command | tuple[str, dict[str, Command]]] = {
             "score-wizard": score_wizard,
         },
     ),
-    "objects": ("Make objects to grasp.", {"generate": generate}),
+    "bin": ("Find bins in clouds.", {"find": find}),
+    "objects": (
+        "Make objects to grasp.",
+        {"generate": generate, "prepare": prepare, "compare": compare_objects},
+    ),
     "data": (
         "Make, pack and check training data.",
         {

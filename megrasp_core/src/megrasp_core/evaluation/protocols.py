@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -32,6 +32,14 @@ TABLE_REGION = OrientedBox(
 )
 """Where heaps on a table lie, as in the training scenes; it has no walls."""
 
+SIDE_VIEW = 0.9
+"""How steeply a single camera beside a table looks down (rad)."""
+CROPPED = 0.008
+"""Up to this height over the table (m) a cloud is cut where the table is cut away."""
+BESIDE = 0.05
+"""So far outside the region (m) objects stay in such a cloud: they are still in the way."""
+
+CroppedFloor = Literal["known", "estimated"]
 PROTOCOLS: tuple[ProtocolName, ...] = ("binpick", "declutter", "single")
 
 
@@ -55,6 +63,10 @@ class ProtocolSettings:
             are passed over.
         judged: so many of the returned grasps are judged one by one at every stage, best first,
             before the first is executed; for calibration.
+        views: cameras around a table heap; one looks from the side, 52 degrees down.
+        crop_floor: the table is cut from the cloud, as for planners that want segmented objects;
+            the planner is told region and height of the table (`known`) or neither (`estimated`).
+            None: it stays.
         noise: of the depth camera; None: none.
         seed: of scenes, noise and samples.
     """
@@ -71,6 +83,8 @@ class ProtocolSettings:
     max_failures: int = 3
     exclude_radius: float = 0.05
     judged: int = 0
+    views: int = 10
+    crop_floor: CroppedFloor | None = None
     noise: DepthNoise | None = field(default_factory=DepthNoise)
     seed: int = 1
 
@@ -83,6 +97,14 @@ class ProtocolSettings:
             raise InvalidRequestError(
                 f"scenes {self.scenes}, samples {self.samples}, drawn {self.drawn}, returned "
                 f"{self.returned} were given; expected at least 1, 0, 1 and 1."
+            )
+        if self.views < 1 or (
+            self.protocol == "binpick" and (self.views, self.crop_floor) != (10, None)
+        ):
+            raise InvalidRequestError(
+                f"views {self.views} and crop_floor {self.crop_floor} were given with "
+                f"{self.protocol}; expected at least one view. A bin is seen by one camera from "
+                "above; choose declutter or single."
             )
 
 
@@ -144,11 +166,19 @@ def run_scene(
             cycle.failures >= settings.max_failures or len(outcome.first) >= settings.max_attempts
         ):
             break
-        # One top-down view of a bin; ten views of a table heap.
-        cameras = TopDownCamera() if binpick else ring_cameras()
+        # A bin is seen from above, a table heap from all around or from one side.
+        ring: dict[str, Any] = {}
+        if settings.views == 1:
+            ring["elevation"] = (SIDE_VIEW, SIDE_VIEW)
+        cameras = TopDownCamera() if binpick else ring_cameras(settings.views, **ring)
         cloud = cycle.look(cameras, settings.noise, rng)
-        options = {
-            "region": TABLE_REGION if world.bin is None else world.bin.region(),
+        region = TABLE_REGION if world.bin is None else world.bin.region()
+        if settings.crop_floor:
+            near = region.grown(BESIDE).contains(cloud.points)
+            cloud = cloud.select(near & (cloud.points[:, 2] > CROPPED))
+        options: dict[str, Any] = {
+            "region": None if settings.crop_floor == "estimated" else region,
+            "floor": 0.0 if settings.crop_floor == "known" else None,
             "walls": world.bin is not None,
             "seed": int(rng.integers(2**31)),
         }

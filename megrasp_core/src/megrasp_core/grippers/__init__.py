@@ -35,6 +35,7 @@ from .model_mistakes import NO_SUCTION, check_names, check_spec
 from .posture import SETTLE_DAMPING
 from .registry import cad_folders, cad_twins, gripper_folders, list_grippers, load_gripper
 from .render import render_cloud
+from .stroke import Stroke
 
 __all__ = [
     "Actuation",
@@ -56,6 +57,7 @@ __all__ = [
     "ROOT_BODY",
     "SETTLE_DAMPING",
     "SOLIMP",
+    "Stroke",
     "URDF_ARMATURE",
     "VISUAL_GROUP",
     "body_meshes",

@@ -1,9 +1,12 @@
 """Point clouds: files, regions, voxel means, normals, support plane, scene nodes."""
 
+from .bins import BinSettings, FoundBin, find_bin
 from .box import OrientedBox
 from .cloud import Cloud
+from .depth_image import DepthImage, DepthImageSettings
+from .depth_points import camera_matrix, depth_points, read_depth_cloud
 from .emptiness import only_support_left
-from .io import read_cloud, write_cloud
+from .io import read_cloud, without_zeros, write_cloud
 from .knn import estimate_normals, neighbours, remove_outliers
 from .plane import Plane, PlaneSettings, support_plane
 from .scene import (
@@ -18,10 +21,17 @@ from .scene import (
     scene_nodes,
     surface_cloud,
 )
+from .unseen_structure import UnseenStructure, level_floor, unseen_structure
+from .view_check import check_view
+from .views import View, by_sensor
 from .voxels import VoxelGroups, voxel_means
 
 __all__ = [
+    "BinSettings",
     "Cloud",
+    "FoundBin",
+    "DepthImage",
+    "DepthImageSettings",
     "OrientedBox",
     "Plane",
     "PlaneSettings",
@@ -29,19 +39,30 @@ __all__ = [
     "SceneSettings",
     "SurfaceCloud",
     "SurfacePoints",
+    "UnseenStructure",
+    "View",
     "VoxelGroups",
+    "by_sensor",
+    "camera_matrix",
+    "check_view",
     "choose_nodes",
+    "depth_points",
     "estimate_normals",
+    "find_bin",
     "grown_region",
+    "level_floor",
     "neighbours",
     "node_counts",
     "only_support_left",
     "nodes_at",
     "read_cloud",
+    "read_depth_cloud",
     "remove_outliers",
     "scene_nodes",
     "support_plane",
     "surface_cloud",
+    "unseen_structure",
     "voxel_means",
+    "without_zeros",
     "write_cloud",
 ]

@@ -12,6 +12,7 @@ from megrasp_core.errors import CloudError
 
 from .cloud import Cloud
 from .colours import as_shares
+from .depth_points import depth_points
 
 SMALLEST_IMAGE = 16
 """Arrays of at least so many rows and columns look like an image, not like points."""
@@ -32,8 +33,8 @@ def read_npy(path: Path) -> Cloud:
 
 
 def read_npz(path: Path) -> Cloud:
-    """`points` as `read_npy` takes them, optional `colors` and `viewpoint`; or an image `depth`
-    (H, W) in metres along the optical axis with its camera matrix `K` (3, 3).
+    """`points` as `read_npy` takes them, optional `colors`, `viewpoint` and `labels`; or an image
+    `depth` (H, W) in metres along the optical axis with its camera matrix `K` (3, 3).
 
     Raises:
         CloudError: it is damaged, or holds neither.
@@ -41,7 +42,7 @@ def read_npz(path: Path) -> Cloud:
     archive = _load(path)
     if not isinstance(archive, np.lib.npyio.NpzFile):
         raise CloudError(f"{path} is no .npz archive; expected one with an array 'points' (N, 3).")
-    wanted = ("points", "colors", "viewpoint", "depth", "K")
+    wanted = ("points", "colors", "viewpoint", "labels", "depth", "K")
     with archive:
         names = ", ".join(sorted(archive.files)) or "(none)"
         try:
@@ -53,7 +54,7 @@ def read_npz(path: Path) -> Cloud:
         points, colors = _points(path, "'points'", arrays["points"])
         if "colors" in arrays:
             colors = _colours(arrays["colors"])
-        return _cloud(path, points, colors, arrays.get("viewpoint"))
+        return _cloud(path, points, colors, arrays.get("viewpoint"), arrays.get("labels"))
     if {"depth", "K"} <= set(arrays):
         points = _of_depth(path, arrays["depth"], arrays["K"])
         return Cloud(points, None, np.zeros(3))
@@ -101,8 +102,8 @@ def _points(path: Path, what: str, array: NDArray) -> tuple[NDArray, NDArray | N
 def _advice(shape: tuple[int, ...]) -> str:
     if len(shape) == 2 and min(shape) >= SMALLEST_IMAGE:
         return (
-            "It looks like a depth image: save it as 'depth' in metres with the camera matrix "
-            "'K' in one .npz."
+            "It looks like a depth image: give it as --depth with --intrinsics FX FY CX CY, or "
+            "save it as 'depth' in metres with the camera matrix 'K' in one .npz."
         )
     if len(shape) == 2 and shape[0] == 3:
         return "Transpose it: points.T."
@@ -119,31 +120,27 @@ def _colours(colors: NDArray) -> NDArray[np.float64]:
 
 
 def _cloud(
-    path: Path, points: NDArray, colors: NDArray | None, viewpoint: NDArray | None
+    path: Path,
+    points: NDArray,
+    colors: NDArray | None,
+    viewpoint: NDArray | None,
+    labels: NDArray | None = None,
 ) -> Cloud:
     if viewpoint is not None and viewpoint.ndim == 3:
         viewpoint = viewpoint.reshape(-1, viewpoint.shape[-1])
     try:
-        return Cloud(points, colors, viewpoint)
+        return Cloud(points, colors, viewpoint, None if labels is None else labels.ravel())
     except CloudError as error:
         raise CloudError(f"{path}: {error}") from None
 
 
 def _of_depth(path: Path, depth: NDArray, matrix: NDArray) -> NDArray[np.float64]:
-    """Points (H * W, 3) of a depth image, x right, y down, z forward; NaN without a depth."""
-    if depth.ndim != 2 or matrix.shape != (3, 3) or depth.dtype.kind != "f":
+    if depth.dtype.kind != "f":
         raise CloudError(
-            f"{path}: 'depth' is {depth.dtype} of shape {depth.shape} and 'K' of shape "
-            f"{matrix.shape}; expected floats in metres (H, W), whole millimetres divided by "
-            "1000, and (3, 3)."
+            f"{path}: 'depth' is {depth.dtype}; expected floats in metres. Divide whole "
+            "millimetres by 1000, or give the file as --depth."
         )
-    k = np.asarray(matrix, np.float64)
-    if not np.isfinite(k).all() or k[0, 0] <= 0 or k[1, 1] <= 0:
-        raise CloudError(
-            f"{path}: 'K' is {k.tolist()}; expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]."
-        )
-    z = depth.astype(np.float64)
-    z[~(z > 0)] = np.nan
-    v, u = np.indices(z.shape)
-    x, y = (u - k[0, 2]) / k[0, 0] * z, (v - k[1, 2]) / k[1, 1] * z
-    return np.stack([x, y, z], axis=-1).reshape(-1, 3)
+    try:
+        return depth_points(depth, matrix)
+    except CloudError as error:
+        raise CloudError(f"{path}: {error}") from None

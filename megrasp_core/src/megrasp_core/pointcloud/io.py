@@ -24,7 +24,7 @@ READERS: dict[str, Callable[[Path], Cloud]] = {
     ".npy": read_npy,
 }
 SUFFIXES = tuple(READERS)
-FARTHEST, NEAREST = 1e6, 1e-6
+FARTHEST, NEAREST = 1e7, 1e-6
 """No coordinates (m) of a scene are all below the one, or beyond the other."""
 
 
@@ -33,8 +33,8 @@ def read_cloud(path: str | Path) -> Cloud:
     0 0 0, as many drivers mark pixels without a reading.
 
     .ply, .pcd: points and colours; .pcd: the sensor's place. .npz: array `points` (N, 3) or
-    (H, W, 3), optional `colors` (0..1, or 0..255 as integers) and `viewpoint` (3,) or one row a
-    point; or `depth` (H, W) with `K` (3, 3). .npy: the points alone.
+    (H, W, 3), optional `colors` (0..1, or 0..255 as integers), `viewpoint` (3,) or one row a
+    point, and `labels` (N,) of objects; or `depth` (H, W) with `K` (3, 3). .npy: the points alone.
 
     Raises:
         CloudError: a missing file, another suffix, a damaged file, a wrong shape, or no point.
@@ -106,7 +106,11 @@ def write_cloud(path: str | Path, cloud: Cloud, *, binary: bool = True) -> None:
         if suffix == ".npy":
             np.save(path, cloud.points)
         elif suffix == ".npz":
-            extra = {"colors": cloud.colors, "viewpoint": cloud.viewpoint}
+            extra = {
+                "colors": cloud.colors,
+                "viewpoint": cloud.viewpoint,
+                "labels": cloud.labels,
+            }
             arrays: dict[str, Any] = {
                 key: value for key, value in extra.items() if value is not None
             }

@@ -7,7 +7,7 @@ starts at the `SurfaceCloud`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,10 +19,16 @@ from .box import OrientedBox
 from .cloud import Cloud
 from .knn import local_normals, neighbours, oriented, outlier_mask
 from .plane import PlaneSettings, support_plane
+from .sensor import sensor_place
+from .views import View, by_sensor
 from .voxels import VoxelGroups
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+
+
+FAR_UP = 10.0
+"""Points so far over the region (m) are still between it and the sensor."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +76,10 @@ class SurfaceCloud:
     """The cleaned surface of the scene, in the cloud's frame (M voxel means of K measured points).
 
     points (M, 3); normals (M, 3) unit, turned to the sensor; on_plane (M,) true on the support
-    plane; sensor (3,); gravity (3,) unit or None; crop (K, 3) every finite point in the grown
-    region, for the check of what was seen; region as given or None.
+    plane; sensor (3,), the middle of several; gravity (3,) unit or None; crop (K, 3) every finite
+    point in the grown region, for the check of what was seen; region as given or None. views:
+    the points in the region and over it by the sensor that saw them. labels: (K,) of the crop, see
+    `Cloud`, or None.
     """
 
     points: FloatArray
@@ -81,6 +89,8 @@ class SurfaceCloud:
     gravity: FloatArray | None
     crop: FloatArray
     region: OrientedBox | None
+    views: tuple[View, ...] = ()
+    labels: NDArray[np.int32] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,11 +145,13 @@ def surface_cloud(
     origin = _sensor(cloud, sensor)
     down = _unit_gravity(gravity)
     if region is not None:
-        inside = grown_region(region, down, np.atleast_2d(origin).mean(axis=0), settings).contains(
-            cloud.points
-        )
+        middle = np.atleast_2d(origin).mean(axis=0)
+        inside = grown_region(region, down, middle, settings).contains(cloud.points)
         if not inside.any():
             raise _nothing_in_region(cloud, region)
+        # What stands higher than the crop still hides what is behind it.
+        column = replace(settings, region_headroom=settings.region_headroom + FAR_UP)
+        in_view = grown_region(region, down, middle, column).contains(cloud.points)
     else:
         inside = np.isfinite(cloud.points).all(axis=1)
         if not inside.any():
@@ -147,6 +159,7 @@ def surface_cloud(
                 f"none of the {len(cloud)} points is finite; expected a cloud in metres. Check "
                 "the depth image."
             )
+        in_view = inside
     crop = cloud.points[inside]
     groups = VoxelGroups(crop, settings.voxel)
     points = groups.mean(crop)
@@ -163,8 +176,18 @@ def surface_cloud(
     on_plane = np.zeros(len(points), bool)
     if plane is not None:
         on_plane = np.abs(plane.height(points)) <= settings.plane_band
-    centre = origin[inside].mean(axis=0) if origin.ndim == 2 else origin
-    return SurfaceCloud(points, normals, on_plane, centre, down, crop, region)
+    seen_crop_from = origin[inside] if origin.ndim == 2 else origin
+    return SurfaceCloud(
+        points,
+        normals,
+        on_plane,
+        np.atleast_2d(seen_crop_from).mean(axis=0),
+        down,
+        crop,
+        region,
+        by_sensor(cloud.points[in_view], origin[in_view] if origin.ndim == 2 else origin),
+        None if cloud.labels is None else cloud.labels[inside],
+    )
 
 
 def scene_nodes(
@@ -271,19 +294,14 @@ def _normals(
 
 
 def _sensor(cloud: Cloud, sensor: ArrayLike | None) -> FloatArray:
-    origin = cloud.viewpoint if sensor is None else np.asarray(sensor, dtype=np.float64)
+    origin = cloud.viewpoint if sensor is None else sensor
     if origin is None:
         raise CloudError(
             "nobody says where the sensor was: the cloud has no viewpoint and no sensor was "
             "given. Give the sensor's place (x, y, z) in the cloud's frame; in a camera's "
             "optical frame it is 0 0 0."
         )
-    if origin.shape not in ((3,), cloud.points.shape) or not np.isfinite(origin).all():
-        raise CloudError(
-            f"the sensor's place has the shape {origin.shape}; expected three finite numbers (x, "
-            f"y, z), or one row for each of the {len(cloud)} points."
-        )
-    return origin
+    return sensor_place(origin, len(cloud))
 
 
 def _unit_gravity(gravity: ArrayLike | None) -> FloatArray | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import TYPE_CHECKING
@@ -9,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from megrasp_core.errors import InvalidRequestError
+from megrasp_core.pointcloud import DepthImage, DepthImageSettings, View
 
-from .depth_image import DepthImage, DepthImageSettings
 from .probe import thinned
 
 if TYPE_CHECKING:
@@ -72,9 +73,10 @@ class SceneObservation:
         walls: bool = True,
         floor: Plane | None = None,
         surface_points: np.ndarray | None = None,
+        views: Sequence[View] = (),
         settings: ObservationSettings | None = None,
     ) -> None:
-        """Draw the depth image and orient the region.
+        """Draw the depth images and orient the region.
 
         Args:
             points: (K, 3) full crop, scene frame.
@@ -86,6 +88,8 @@ class SceneObservation:
             floor: support plane (normal away from the support) for scenes without walls.
             surface_points: (M, 3) evenly thinned surface for distances; default: the crop
                 thinned to 3 mm.
+            views: the same points by the sensor that saw them; what one sensor sees past, or in
+                front of, is free whatever the others say. Default: one sensor saw all.
             settings: see `ObservationSettings`.
 
         Raises:
@@ -93,8 +97,11 @@ class SceneObservation:
         """
         self.settings = settings or ObservationSettings()
         self.points = np.asarray(points)
-        self.image = DepthImage(points, sensor, self.settings.image)
-        self.sensor = self.image.sensor
+        self.sensor = np.asarray(sensor, dtype=np.float64).reshape(3)
+        self.images = [
+            DepthImage(view.points, view.sensor, self.settings.image)
+            for view in views or (View(self.points, self.sensor),)
+        ]
         if surface_points is None:
             surface_points = thinned(self.points, 0.003)
         # Columns lie together in memory: they are filtered axis by axis.
@@ -145,6 +152,11 @@ class SceneObservation:
         offset = points - self._centre.astype(points.dtype)
         return (rotation @ offset.astype(np.float32, copy=False).T).T
 
+    @property
+    def half(self) -> np.ndarray:
+        """Half edges (3,) of the region in the order of `box_coordinates`; zeros without one."""
+        return self._half
+
     def contains(self, points: np.ndarray, above: float = np.inf) -> np.ndarray:
         """Whether points (P, 3) lie within the region's sides, over its bottom and less than
         `above` over its top.
@@ -161,9 +173,13 @@ class SceneObservation:
         """Depth (P,) of points (P, 3) behind the seen surface along the optical axis (m); negative
         in front.
 
-        +inf where nothing was seen and the point is not in front of the rim of that patch.
+        +inf where nothing was seen and the point is not in front of the rim of that patch. Of
+        several sensors the one that knows best decides: the least depth.
         """
-        depth, seen, front = self.image.lookup(points)
+        return np.minimum.reduce([self._signed_depth(image, points) for image in self.images])
+
+    def _signed_depth(self, image: DepthImage, points: np.ndarray) -> np.ndarray:
+        depth, seen, front = image.lookup(points)
         signed = depth - front
         signed[~np.isfinite(seen) & (signed >= -self.settings.margin)] = np.inf
         return signed

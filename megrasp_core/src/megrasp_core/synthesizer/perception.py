@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from megrasp_core.pointcloud import (
     Cloud,
     SceneNodes,
     SceneSettings,
+    SurfaceCloud,
     only_support_left,
     scene_nodes,
     surface_cloud,
+    unseen_structure,
 )
 
+from .objects import LabelledObjects
 from .request import SynthesisRequest
 from .scene_judge import SceneJudge
 from .settings import RankingSettings
@@ -28,11 +31,15 @@ class Perceived:
         nodes: what the model sees.
         judge: of poses in it.
         empty: nothing but the support surface is left.
+        notes: what was taken for granted, for who reads the answer.
+        objects: where the cloud tells them apart.
     """
 
     nodes: SceneNodes
     judge: SceneJudge
     empty: bool
+    notes: tuple[str, ...] = ()
+    objects: LabelledObjects | None = None
 
 
 def perceive(
@@ -45,16 +52,37 @@ def perceive(
 
     Raises:
         CloudError, EmptyRegionError: nothing of it is of use.
+        InvalidRequestError: the target is not in it, or the floor is not where it was said to be.
     """
-    surface = surface_cloud(
-        cloud,
-        sensor=request.sensor,
-        gravity=request.gravity,
-        region=request.region,
-        settings=scene,
+
+    def seen(of: Cloud) -> SurfaceCloud:
+        return surface_cloud(
+            of,
+            sensor=None if of is not cloud else request.sensor,
+            gravity=request.gravity,
+            region=request.region,
+            settings=scene,
+        )
+
+    assert not isinstance(request.floor, (int, float))  # a plane since it was checked
+    surface = seen(cloud)
+    structure = unseen_structure(
+        surface,
+        floor=request.floor,
+        walls=request.walls,
+        assume_empty=request.assume_empty,
     )
+    if len(structure.points):
+        found = Cloud(structure.points, viewpoint=structure.seen_from)
+        origin = cloud.viewpoint if request.sensor is None else request.sensor
+        surface = seen(replace(cloud, viewpoint=origin).joined(found))
+    objects = LabelledObjects.of(surface, request.target)
     return Perceived(
         scene_nodes(surface, scene),
-        SceneJudge(surface, request, ranking),
-        only_support_left(surface.points, request.region, surface.gravity),
+        SceneJudge(surface, request, ranking, objects),
+        # Under a floor that is only thought to be there, a flat object may be all that is seen.
+        not structure.estimated
+        and only_support_left(surface.points, request.region, surface.gravity),
+        (structure.note,) if structure.note else (),
+        objects,
     )

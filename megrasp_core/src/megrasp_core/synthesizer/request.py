@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 import secrets
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from megrasp_core.errors import GravityError, InvalidRequestError
-from megrasp_core.pointcloud import OrientedBox
+from megrasp_core.pointcloud import OrientedBox, Plane, level_floor
 
-__all__ = ["MAX_DRAWN", "MAX_GRASPS", "Mode", "SynthesisRequest"]
+__all__ = ["LAYER", "MAX_DRAWN", "MAX_GRASPS", "Mode", "Prefer", "SynthesisRequest"]
 
 MAX_GRASPS = 1000
 """Most grasps that one call returns."""
@@ -22,6 +22,10 @@ MAX_DRAWN = 4096
 """Most poses that one call draws."""
 
 Mode = Literal["default", "fast"]
+Prefer = Literal["score", "high", "clear"]
+
+LAYER = 0.02
+"""Grasps whose heights differ by less (m) are equally high."""
 
 Vector = Sequence[float] | np.ndarray
 
@@ -39,6 +43,10 @@ class SynthesisRequest:
         sensor: (3,) where the sensor was, or (N, 3) for every point; None: the cloud's viewpoint.
         region: only points in it count.
         walls: the region is the inside of a bin: its sides are walls, its bottom the floor.
+        floor: the surface that the objects lie on, where it is known: a plane, or its height over
+            the origin against gravity (m). Used where the cloud does not show it.
+        assume_empty: where nothing was seen there is floor or, in a bin, wall. Without it that is
+            said only of a floor that shows almost nowhere, and small patches stay unknown.
         max_tilt: largest angle between gripper +Z and gravity (rad).
         approach_distance: between pre-grasp and approach pose (m).
         approach_direction: back along gripper -Z (`tool`) or up (`gravity`).
@@ -46,6 +54,10 @@ class SynthesisRequest:
         exclude_radius: how near to them a grasp counts as the same (m).
         seed: of everything drawn; None: a random one, which the result states.
         keep_all: return the poses that fail the check as well, last, up to num_grasps in all.
+        target: only grasps of the object with this label of the cloud; the others are obstacles.
+        min_score: grasps below this score are not returned.
+        prefer: what comes first of the grasps that pass the check: the best `score`; `high`: the
+            highest against gravity, within `LAYER` the best score; `clear`: the most clearance.
 
     Raises:
         InvalidRequestError: an argument is outside its range.
@@ -59,6 +71,8 @@ class SynthesisRequest:
     sensor: Vector | None = None
     region: OrientedBox | None = None
     walls: bool = True
+    floor: Plane | float | None = None
+    assume_empty: bool = False
     max_tilt: float | None = None
     approach_distance: float = 0.10
     approach_direction: Literal["tool", "gravity"] = "tool"
@@ -66,6 +80,9 @@ class SynthesisRequest:
     exclude_radius: float = 0.02
     seed: int | None = None
     keep_all: bool = False
+    target: int | None = None
+    min_score: float = 0.0
+    prefer: Prefer = "score"
 
     @classmethod
     def of(cls, **options: Any) -> SynthesisRequest:
@@ -95,6 +112,7 @@ class SynthesisRequest:
         self._set("drawn", n if self.mode == "fast" else max(drawn, n))
         self._set("gravity", _direction(_array("gravity", self.gravity)))
         self._set("sensor", _array("sensor", self.sensor))
+        self._set("floor", _floor(self.floor, self.gravity))
         if self.max_tilt is not None and not 0 < self.max_tilt <= math.pi:
             raise InvalidRequestError(
                 f"max_tilt {self.max_tilt} was given; expected an angle over 0 and up to pi "
@@ -109,13 +127,26 @@ class SynthesisRequest:
                 f"approach_direction {self.approach_direction!r} was given; expected 'tool' or "
                 "'gravity'."
             )
+        if self.prefer not in ("score", "high", "clear"):
+            raise InvalidRequestError(
+                f"prefer {self.prefer!r} was given; expected 'score', 'high' or 'clear'."
+            )
+        if not 0 <= self.min_score <= 1:
+            raise InvalidRequestError(
+                f"min_score {self.min_score} was given; expected a probability, 0 to 1."
+            )
+        if self.target is not None:
+            advice = "Give a label of the mask."
+            self._set("target", _whole("target", self.target, 1, 2**31 - 1, advice))
         if self.gravity is None and (
-            self.approach_direction == "gravity" or self.max_tilt is not None
+            self.approach_direction == "gravity"
+            or self.max_tilt is not None
+            or self.prefer == "high"
         ):
             raise GravityError(
                 "the direction of gravity is not known; expected a vector that points down in the "
-                "frame of the cloud, because an approach along gravity or a largest tilt was "
-                "asked for. Give gravity."
+                "frame of the cloud, because an approach along gravity, a largest tilt or the "
+                "highest grasps first were asked for. Give gravity."
             )
         if not (np.isfinite(self.exclude_radius) and self.exclude_radius >= 0):
             raise InvalidRequestError(
@@ -127,6 +158,21 @@ class SynthesisRequest:
             self._set("seed", secrets.randbits(32))
         else:
             self._set("seed", _whole("seed", self.seed, 0, 2**63 - 1, "Give another one."))
+
+    def moved(self, offset: np.ndarray) -> SynthesisRequest:
+        """The same request for a cloud that was moved by `offset` (3,) (m)."""
+        pose = np.eye(4)
+        pose[:3, 3] = offset
+        floor, exclude = self.floor, np.array(self.exclude)
+        exclude[:, :3, 3] += offset
+        assert not isinstance(floor, (int, float))  # a plane since it was checked
+        return replace(
+            self,
+            sensor=None if self.sensor is None else np.asarray(self.sensor) + offset,
+            region=None if self.region is None else self.region.transformed(pose),
+            floor=None if floor is None else floor.moved(offset),
+            exclude=exclude,
+        )
 
     def _set(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)
@@ -165,6 +211,16 @@ def _direction(vector: np.ndarray | None) -> np.ndarray | None:
             "frame of the cloud, for example 0 0 -1 where z is up."
         )
     return vector / length
+
+
+def _floor(floor: Plane | float | None, gravity: Vector | None) -> Plane | None:
+    if floor is None or isinstance(floor, Plane):
+        return floor
+    if isinstance(floor, bool) or not isinstance(floor, (int, float)) or not math.isfinite(floor):
+        raise InvalidRequestError(
+            f"floor {floor!r} was given; expected a height (m), a Plane, or none."
+        )
+    return level_floor(floor, None if gravity is None else np.asarray(gravity))
 
 
 def _poses(poses: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:

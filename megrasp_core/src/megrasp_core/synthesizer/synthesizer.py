@@ -10,13 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from megrasp_core.diffusion import NoiseSchedule
 from megrasp_core.errors import InvalidRequestError
 from megrasp_core.grippers import Gripper, load_gripper
 from megrasp_core.network import GraspModel, load_model
-from megrasp_core.pointcloud import Cloud
+from megrasp_core.pointcloud import Cloud, check_view
 from megrasp_core.ranking import GripperProbe, gripper_probe
 
 from .assessor import MountedGripper
@@ -26,6 +27,9 @@ from .run import Cancelled, OnStep, SynthesisRun
 from .settings import SynthesizerSettings
 
 __all__ = ["GraspSynthesizer"]
+
+FAR = 100.0
+"""Farther from the origin (m) a scene is moved there for the time of a synthesis."""
 
 
 class GraspSynthesizer:
@@ -151,8 +155,17 @@ class GraspSynthesizer:
         request = request or SynthesisRequest.of(**options)
         if self._mounted is None:
             raise InvalidRequestError("no gripper is set; expected one. Call set_gripper first.")
+        check_view(
+            cloud.points,
+            sensor=cloud.viewpoint if request.sensor is None else request.sensor,
+            gravity=request.gravity,
+            region=request.region,
+        )
+        offset = _far_origin(cloud)
+        if offset.any():
+            cloud, request = cloud.moved(-offset), request.moved(-offset)
         with self._running():
-            return SynthesisRun(
+            result = SynthesisRun(
                 self.model,
                 self._mounted,
                 request,
@@ -163,6 +176,9 @@ class GraspSynthesizer:
                 on_step=on_step,
                 cancelled=cancelled,
             ).run(cloud)
+        if offset.any():
+            result = replace(result, grasps=[grasp.moved(offset) for grasp in result.grasps])
+        return result
 
     @contextmanager
     def _running(self) -> Iterator[None]:
@@ -176,6 +192,13 @@ class GraspSynthesizer:
         finally:
             if self.threads is not None:
                 torch.set_num_threads(before)
+
+
+def _far_origin(cloud: Cloud) -> np.ndarray:
+    """A place (3,) near the scene where numbers of 32 bits would lose its shape, else zeros."""
+    points = cloud.finite().points
+    middle = np.median(points, axis=0) if len(points) else np.zeros(3)
+    return np.round(middle) if np.linalg.norm(middle) > FAR else np.zeros(3)
 
 
 def _calibrated(settings: SynthesizerSettings, model: GraspModel) -> SynthesizerSettings:

@@ -114,10 +114,7 @@ class DepthImage:
             depth (P,), seen (P,), front (P,), float32 along the optical axis. Outside
             the image `seen` is inf and `front` the value of the nearest border pixel.
         """
-        x, y, depth = self._camera_points(points)
-        scale = np.float32(1.0 / self.pitch) / np.maximum(depth, np.float32(1e-3))
-        column = x * scale - np.float32(self.origin[0] / self.pitch)
-        row = y * scale - np.float32(self.origin[1] / self.pitch)
+        row, column, depth = self._pixels(points)
         height, width = self.shape
         outside = (column < 0) | (row < 0) | (column >= width) | (row >= height)
         np.clip(column, 0, width - 1, out=column)
@@ -126,6 +123,22 @@ class DepthImage:
         seen = self.seen.ravel()[index]
         seen[outside] = np.inf
         return depth, seen, self.front.ravel()[index]
+
+    def pixels(self, points: np.ndarray) -> np.ndarray:
+        """Row and column (P, 2) of points (P, 3); those outside the image have some beyond its
+        shape.
+        """
+        row, column, _ = self._pixels(points)
+        limit = 1e6  # whole numbers, also for points beside the sensor
+        both = np.stack([row, column], axis=1)
+        return np.floor(np.clip(both, -limit, limit)).astype(np.intp)
+
+    def _pixels(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        x, y, depth = self._camera_points(points)
+        scale = np.float32(1.0 / self.pitch) / np.maximum(depth, np.float32(1e-3))
+        column = x * scale - np.float32(self.origin[0] / self.pitch)
+        row = y * scale - np.float32(self.origin[1] / self.pitch)
+        return row, column, depth
 
     def _camera_points(self, points: np.ndarray) -> np.ndarray:
         """(3, P) float32: along image x, image y and the optical axis."""
