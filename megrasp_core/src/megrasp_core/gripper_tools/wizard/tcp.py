@@ -197,7 +197,8 @@ def find_tcp(
         elif all(len(f.moving) == 1 for group in opposition.groups for f in group):
             turned = _turning_level(finder, level)
             # Two open jaws must reach the TCP; with a single one the fixed one does.
-            level = min(opened.tip - REACHED, turned) if all(opposition.groups) else turned
+            if turned <= opened.tip - REACHED or not all(opposition.groups):
+                level = turned
     middle = opened.middle if opened.opposite else _centre(motion, opposition, axes, opened)
     beside = middle - (middle @ axes.approach) * axes.approach
     return _on_axis(beside + level * axes.approach, axes)
