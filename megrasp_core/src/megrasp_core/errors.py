@@ -52,6 +52,12 @@ class EmptyRegionError(MegraspError):
     code = 104
 
 
+class NoBinError(MegraspError):
+    """No bin, or none of the given size, is in the cloud."""
+
+    code = 104
+
+
 class UnknownGripperError(MegraspError):
     """No gripper of this name is registered."""
 

@@ -196,7 +196,10 @@ class SimCell(Node):
         pose = world_from_frame @ matrix_from_pose(goal.grasp.pregrasp, "grasp.pregrasp")
         approach = world_from_frame @ matrix_from_pose(goal.grasp.approach, "grasp.approach")
         handle.publish_feedback(ExecuteGrasp.Feedback(phase="approach"))
-        outcome = self._cell.execute(pose, approach)
+        posture = goal.grasp.pregrasp_posture
+        joints = dict(zip(posture.name, posture.position, strict=False))
+        opening = self._cell.gripper.share_of(joints) if joints else 0.0
+        outcome = self._cell.execute(pose, approach, opening)
         self._scene_changed = self.get_clock().now()
         handle.publish_feedback(ExecuteGrasp.Feedback(phase="drop"))
         return outcome

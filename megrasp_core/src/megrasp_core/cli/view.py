@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from .common import Flag, read_region, say
-from .synthesize import assumed_sensor, direction_down, length_factor, sensor_place
+from .synthesize import assumed_sensor
+from .viewing import gravity_of, length_factor, sensor_of
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -91,7 +92,7 @@ def view(
             num_grasps=num_grasps,
             drawn=drawn,
             mode="fast" if fast else "default",
-            gravity=direction_down(frame, gravity, top_down),
+            gravity=gravity_of(frame, gravity, top_down),
             seed=seed,
         )
         synthesizer = GraspSynthesizer.load(model, gripper, device=device, threads=threads)
@@ -143,7 +144,7 @@ def _of_file(
 
     def read(path: Path) -> Cloud:
         cloud = read_cloud(path).scaled(factor)
-        place = sensor_place(cloud, frame, sensor)
+        place = sensor_of(cloud, frame, sensor)
         if place is None:
             x, y, z = (0.0, 0.0, -1.0) if down is None else (float(v) for v in down)
             place = assumed_sensor(cloud.finite(), (x, y, z))

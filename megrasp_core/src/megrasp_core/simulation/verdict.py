@@ -106,31 +106,33 @@ def judge(
     *,
     graspable: Collection[int] | None = None,
     approach: NDArray[np.float64] | None = None,
+    opening: float = 0.0,
     settings: TrialSettings | None = None,
 ) -> Verdict:
     """Try one grasp in the world as it is now and leave the world as the attempt leaves it.
 
     world_from_gripper: pre-grasp (4, 4). approach: approach pose (4, 4), or None for no test of
         the way there.
+    opening: share of the way from open to closed at which the fingers start.
     graspable: objects that count; None means all that are present and no obstacles.
     Ends as soon as the outcome is decided. After a rejected start or an instability the world is
     as before.
     """
     settings = settings or TrialSettings()
     before = world.save()
-    depth = float(start_depths(world, world_from_gripper[None])[0])
+    depth = float(start_depths(world, world_from_gripper[None], posture=opening)[0])
     if depth > settings.max_depth:
         return Verdict(False, Reason.START_COLLISION, depth=depth)
     if approach is not None:
         path = approach_path(approach, world_from_gripper, settings.approach_poses)
-        on_the_way = float(start_depths(world, path).max())
+        on_the_way = float(start_depths(world, path, posture=opening).max())
         if on_the_way > settings.max_depth:
             return Verdict(False, Reason.APPROACH_COLLISION, depth=on_the_way)
         depth = max(depth, on_the_way)
     goals = set(world.present) - world.obstacles
     if graspable is not None:
         goals &= set(graspable)
-    verdict = _attempt(world, world_from_gripper, goals, depth, settings)
+    verdict = _attempt(world, world_from_gripper, goals, depth, opening, settings)
     if verdict.reason is Reason.UNSTABLE:
         world.restore(before)
     return verdict
@@ -141,12 +143,13 @@ def _attempt(
     pose: NDArray[np.float64],
     goals: set[int],
     depth: float,
+    opening: float,
     settings: TrialSettings,
 ) -> Verdict:
     height = world.object_poses()[:, 2, 3]
     world.clear_warnings()
-    world.place_gripper(pose)
-    advance(world, closing(world, settings.close_time, settings.close_ramp))
+    world.place_gripper(pose, opening)
+    advance(world, closing(world, settings.close_time, settings.close_ramp, opening))
     touched, _ = world.touched()
     watch = ContactWatch(world, touched & goals)
     pull = _BinPull(world, settings.bin_weight)

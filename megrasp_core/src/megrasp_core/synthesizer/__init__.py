@@ -7,7 +7,7 @@ from .result import RankedGrasp, Synthesis
 from .sampling import draw_starts
 from .scene_judge import Assessment, SceneJudge, seen_plane
 from .selection import rank_poses
-from .settings import PolishSettings, RankingSettings, SynthesizerSettings
+from .settings import PolishSettings, RankingSettings, Stage, SynthesizerSettings
 from .synthesizer import GraspSynthesizer
 
 __all__ = [
@@ -24,6 +24,7 @@ __all__ = [
     "SceneJudge",
     "Synthesis",
     "SynthesisRequest",
+    "Stage",
     "SynthesizerSettings",
     "draw_starts",
     "perceive",
