@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from megrasp_core.errors import MissingPackageError
+
 from .mesh import Mesh
 
 
@@ -12,11 +14,17 @@ def simplified(mesh: Mesh, count: int) -> Mesh:
 
     Edges are collapsed where the surface moves least. A closed mesh may come back with a hole or
     an edge of four triangles: whoever needs it closed looks.
+
+    Raises:
+        MissingPackageError: open3d is not installed.
     """
     if len(mesh.faces) <= count:
         return mesh
-    # Importing open3d takes seconds.
-    import open3d
+    # Importing open3d takes seconds, and few meshes have so many triangles.
+    try:
+        import open3d
+    except ModuleNotFoundError as error:
+        raise MissingPackageError("open3d", "data", "fewer triangles") from error
 
     whole = open3d.geometry.TriangleMesh(
         open3d.utility.Vector3dVector(np.ascontiguousarray(mesh.vertices, np.float64)),

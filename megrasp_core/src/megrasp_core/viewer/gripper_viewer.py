@@ -98,7 +98,7 @@ class GripperViewer:
             switch.on_update(lambda _: self._show())
         self._handle.on_update(lambda _: self._dragged())
         self.tcp.on_update(lambda _: self._typed())
-        self.apply.on_click(lambda _: self.correct())
+        self.apply.on_click(self._apply_clicked)
         self.save.on_click(self._send)
         self.write.on_click(lambda _: self._write())
 
@@ -119,6 +119,9 @@ class GripperViewer:
             symmetry=int(self.symmetry.value),
             **postures,
         )
+
+    def _apply_clicked(self, _: object) -> None:
+        self.correct()
 
     def correct(self) -> bool:
         """Load the gripper anew with the corrections and draw it; where they are wrong the page

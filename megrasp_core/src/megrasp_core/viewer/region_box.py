@@ -51,7 +51,7 @@ class RegionBox:
         self.used = server.gui.add_checkbox("Only what is in the box", used)
         self.walls = server.gui.add_checkbox("It is the inside of a bin", walls)
         size = (float(box.size[0]), float(box.size[1]), float(box.size[2]))
-        self.size = server.gui.add_vector3("Edges (m)", size, min=(0.01,) * 3, step=0.005)
+        self.size = server.gui.add_vector3("Edges (m)", size, min=(0.01, 0.01, 0.01), step=0.005)
         self.drag = server.gui.add_checkbox("Handles to drag it", False)
         self._frame = server.scene.add_frame(NAME, show_axes=False, visible=used)
         self._handles = server.scene.add_transform_controls(

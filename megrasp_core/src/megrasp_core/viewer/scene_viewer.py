@@ -133,6 +133,13 @@ class SceneViewer:
             walls=bool(self.region.walls.value),
         )
 
+    def _start_clicked(self, _: object) -> None:
+        self.synthesize()
+
+    def _space_switched(self, _: object) -> None:
+        if not self._filling:
+            self._guarded(self._show_space)
+
     def synthesize(self) -> Synthesis | None:
         """Do what the button does; returns the answer, None where it failed, which the page
         tells.
@@ -189,7 +196,7 @@ class SceneViewer:
             self.save_grasps = gui.add_button("grasps.json")
             self.save_view = gui.add_button("Picture of this view")
             self.save_picture = gui.add_button("Picture from above and the side")
-        self.start.on_click(lambda _: self.synthesize())
+        self.start.on_click(self._start_clicked)
         self.again.on_click(lambda _: self.refresh())
         self.gripper.on_update(lambda _: self._guarded(self._change_gripper))
         self.list.on_update(lambda _: self._show_list())
@@ -201,7 +208,7 @@ class SceneViewer:
         for switch in (self.forks, self.meshes):
             switch.on_update(lambda _: self._show_others())
         for switch in self.spaces.values():
-            switch.on_update(lambda _: self._filling or self._guarded(self._show_space))
+            switch.on_update(self._space_switched)
         self.save_region.on_click(lambda event: self._send(event, "region.json", self.region_file))
         self.save_grasps.on_click(lambda event: self._send(event, "grasps.json", self.grasps_file))
         self.save_picture.on_click(lambda event: self._send(event, "grasps.png", self.picture))

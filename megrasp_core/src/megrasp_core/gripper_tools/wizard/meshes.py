@@ -10,10 +10,10 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-import open3d as o3d
 import trimesh
 
 from megrasp_core.errors import DescriptionError
+from megrasp_core.meshes import Mesh, simplified
 
 from .collada import read_collada
 
@@ -208,9 +208,7 @@ def _binary_stl_faces(file: Path) -> int:
 def _thinned(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     if len(mesh.faces) <= MOST_FACES:
         return mesh
-    full = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.faces)
-    )
-    full.merge_close_vertices(1e-7)
-    less = full.simplify_quadric_decimation(MOST_FACES)
-    return trimesh.Trimesh(np.asarray(less.vertices), np.asarray(less.triangles), process=False)
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    whole = Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces, dtype=np.int64))
+    fewer = simplified(whole, MOST_FACES)
+    return trimesh.Trimesh(fewer.vertices, fewer.faces, process=False)
