@@ -21,7 +21,7 @@ from megrasp_core.viewer.grasp_lists import RANKED, GraspLists, everything, repo
 def grasp(score: float, reason: str = "") -> RankedGrasp:
     pose = np.eye(4)
     return RankedGrasp(
-        pose, pose, pose, score=score, width=float("nan"), clearance=0.0042, tilt=0.5,
+        pose, pose, pose, pose, score=score, width=float("nan"), clearance=0.0042, tilt=0.5,
         collision_free=not reason, reason=reason,
     )  # fmt: skip
 

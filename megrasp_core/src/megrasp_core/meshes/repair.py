@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from .mesh import Mesh, joined
+
+if TYPE_CHECKING:
+    import trimesh
 
 MERGE_DIGITS = 7
 """Vertices that are equal to so many digits of a metre are one."""
@@ -38,6 +41,9 @@ def repaired(mesh: Mesh) -> Repair:
     told. A part within the box around a larger one is a cavity where it is wound the other way.
     The result may have no face.
     """
+    # A synthesis starts without it.
+    import trimesh
+
     done: list[str] = []
 
     def tell(count: int, what: str) -> None:

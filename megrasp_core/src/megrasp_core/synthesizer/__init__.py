@@ -2,6 +2,7 @@
 
 from .perception import Perceived, perceive
 from .poses import PoseSet, pose_set
+from .repairs import backed_off
 from .request import MAX_DRAWN, MAX_GRASPS, Mode, SynthesisRequest
 from .result import RankedGrasp, Synthesis
 from .sampling import draw_starts
@@ -26,6 +27,7 @@ __all__ = [
     "SynthesisRequest",
     "Stage",
     "SynthesizerSettings",
+    "backed_off",
     "draw_starts",
     "perceive",
     "pose_set",
