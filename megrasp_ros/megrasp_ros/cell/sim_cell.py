@@ -217,13 +217,16 @@ class SimCell(Node):
         world_from_frame = self._world_from(goal.header.frame_id)
         pose = world_from_frame @ matrix_from_pose(goal.grasp.pregrasp, "grasp.pregrasp")
         approach = world_from_frame @ matrix_from_pose(goal.grasp.approach, "grasp.approach")
+        posture = goal.grasp.pregrasp_posture
+        joints = dict(zip(posture.name, posture.position, strict=False))
+        opening = self._cell.gripper.share_of(joints) if joints else 0.0
 
         def begin(phase: str) -> None:
             if handle.is_cancel_requested:
                 raise CancelledError(f"the goal was cancelled before the phase {phase!r}")
             handle.publish_feedback(ExecuteGrasp.Feedback(phase=phase))
 
-        outcome = self._cell.execute(pose, approach, on_phase=begin)
+        outcome = self._cell.execute(pose, approach, opening, on_phase=begin)
         self._scene_changed = self.get_clock().now()
         return outcome
 

@@ -28,6 +28,7 @@ class Outcome:
     grasps: GraspArray = field(default_factory=GraspArray)
     timing: Timing = field(default_factory=Timing)
     rejected: list[RejectionCount] = field(default_factory=list)
+    notes: tuple[str, ...] = ()
 
     def fill(self, response: Any) -> Any:
         """Copy into a service response or an action result."""
@@ -37,6 +38,7 @@ class Outcome:
         response.grasps = self.grasps
         response.timing = self.timing
         response.rejected = self.rejected
+        response.notes = list(self.notes)
         return response
 
 
@@ -63,7 +65,7 @@ def grasp_array(
     gripper: Gripper, grasps: Sequence[Any], *, header: Header, model_id: str, seed: int
 ) -> GraspArray:
     """Return the GraspArray of the core's ranked grasps, in their order."""
-    opened, closed = _posture(gripper.open_joints), _posture(gripper.closed_joints)
+    closed = _posture(gripper.closed_joints)
     return GraspArray(
         header=header,
         gripper=gripper.name,
@@ -75,13 +77,17 @@ def grasp_array(
                 pregrasp=pose_from_matrix(grasp.world_from_gripper),
                 tcp=pose_from_matrix(grasp.world_from_tcp),
                 approach=pose_from_matrix(grasp.world_from_gripper_approach),
-                pregrasp_posture=opened,
+                pregrasp_posture=_posture(gripper.posture_at(grasp.share)),
                 grasp_posture=closed,
                 width=_number(grasp.width),
                 score=_number(grasp.score),
                 clearance=_number(grasp.clearance),
                 tilt=_number(grasp.tilt),
                 collision_free=bool(grasp.collision_free),
+                retreat=pose_from_matrix(grasp.world_from_gripper_retreat),
+                width_tolerance=_number(grasp.width_tolerance),
+                opening=_number(grasp.opening),
+                object=-1 if grasp.object is None else int(grasp.object),
             )
             for rank, grasp in enumerate(grasps)
         ],
@@ -108,6 +114,10 @@ def unfinished(
                 clearance=math.nan,
                 tilt=math.nan,
                 collision_free=False,
+                retreat=pose_from_matrix(poses.retreat[index]),
+                width_tolerance=math.nan,
+                opening=math.nan,
+                object=-1,
             )
             for index in range(len(poses))
         ],

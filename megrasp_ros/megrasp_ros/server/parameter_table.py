@@ -213,6 +213,12 @@ TABLE: dict[str, Spec] = {
         "tool: back along the gripper's -Z; gravity: straight up",
         check=_one_of("tool", "gravity"),
     ),
+    "min_score": Spec(0.0, "grasps with a lower score are left out; 0: none is", 0.0, 1.0),
+    "prefer": Spec(
+        "score",
+        "what comes first: score; high: the highest against gravity; clear: the most clearance",
+        check=_one_of("score", "high", "clear"),
+    ),
     "request_timeout": Spec(60.0, "longest time from request to answer (s)", 0.05, 3600.0),
     "result_timeout": Spec(
         10.0,

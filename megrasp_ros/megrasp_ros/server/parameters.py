@@ -60,6 +60,8 @@ class Settings:
     max_tilt: float
     approach_distance: float
     approach_direction: str
+    min_score: float
+    prefer: str
     request_timeout: float
     result_timeout: float
     auto_synthesize: str

@@ -18,6 +18,7 @@ from sensor_msgs.msg import PointCloud2
 from megrasp_core.errors import InvalidRequestError
 from megrasp_core.pointcloud import OrientedBox
 from megrasp_ros.conversions import box_from_message, matrices_from_poses
+from megrasp_ros.errors import MOST_TEXT, shortened
 
 from .parameters import Settings
 
@@ -38,6 +39,10 @@ class ParsedRequest:
     not_before: Time = field(default_factory=Time)
     exclude: Sequence[Pose] = ()
     exclude_radius: float = 0.02
+    target: int | None = None
+    min_score: float = 0.0
+    mode: str = "default"
+    prefer: str = "score"
 
     def excluded(self, check: Callable[[], None]) -> NDArray[np.float64]:
         """Return the TCP poses (E, 4, 4) to leave out; `check` is called meanwhile and may raise.
@@ -68,6 +73,14 @@ def checked_request(
         raise InvalidRequestError(
             f"not_before.sec is {message.not_before.sec}; expected a time, or 0 for any cloud."
         )
+    _in_range("min_score", message.min_score, 1.0, "a probability; 0: the parameter min_score")
+    _one_of("mode", message.mode, "default", "fast")
+    _one_of("prefer", message.prefer, "score", "high", "clear")
+    if message.target < -1 or message.target == 0:
+        raise InvalidRequestError(
+            f"target is {message.target}; expected the number of an object in the mask, from 1, "
+            "or -1 for any."
+        )
     region = box_from_message(message.region)
     return ParsedRequest(
         num_grasps=int(message.num_grasps),
@@ -80,6 +93,10 @@ def checked_request(
         not_before=message.not_before,
         exclude=message.exclude,
         exclude_radius=float(message.exclude_radius),
+        target=None if message.target == -1 else int(message.target),
+        min_score=float(message.min_score) or settings.min_score,
+        mode=message.mode or "default",
+        prefer=message.prefer or settings.prefer,
     )
 
 
@@ -91,6 +108,8 @@ def automatic_request(settings: Settings) -> ParsedRequest:
         max_tilt=settings.max_tilt,
         timeout=settings.request_timeout,
         region=settings.region,
+        min_score=settings.min_score,
+        prefer=settings.prefer,
     )
 
 
@@ -102,3 +121,10 @@ def random_seed() -> int:
 def _in_range(name: str, value: float, high: float, meaning: str) -> None:
     if not 0.0 <= value <= high:
         raise InvalidRequestError(f"{name} is {value}; expected 0 to {high:.5g} ({meaning}).")
+
+
+def _one_of(name: str, value: str, *choices: str) -> None:
+    if value not in ("", *choices):
+        raise InvalidRequestError(
+            f"{name} is {shortened(value, MOST_TEXT)!r}; expected one of {', '.join(choices)}, or empty."
+        )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -121,10 +121,13 @@ class SynthesisRunner:
                 synthesis.timing, wait=waited, perceive=perceive, total=job.elapsed
             ),
             rejected=rejection_counts(synthesis.rejected),
+            notes=synthesis.notes,
         )
         if not synthesis.grasps:
             outcome.error_code = ErrorCode.NO_GRASP_FOUND
-            outcome.error_msg = no_grasp_text(synthesis.drawn, synthesis.rejected, gripper.name)
+            outcome.error_msg = no_grasp_text(
+                synthesis.drawn, synthesis.rejected, gripper.name, synthesis.hints
+            )
         return Computed(outcome, gripper, cloud.points)
 
     def _perceive(
@@ -178,27 +181,24 @@ class SynthesisRunner:
             "approach_distance": settings.approach_distance,
             "approach_direction": settings.approach_direction,
             "exclude_radius": request.exclude_radius,
+            "target": request.target,
+            "min_score": request.min_score,
+            "mode": request.mode,
+            "prefer": request.prefer,
             # The core's seeds have one bit less than those of the message.
             "seed": request.seed & SEED_MASK,
             "cancelled": job.should_stop,
         }
 
 
-def no_grasp_text(drawn: int, rejected: dict[str, int], gripper: str) -> str:
-    """Return the message of error 400, with what to do about the most frequent reason."""
+def no_grasp_text(drawn: int, rejected: dict[str, int], gripper: str, hints: Sequence[str]) -> str:
+    """Return the message of error 400: counts by reason, and what to do."""
     counts = (
         ", ".join(f"{reason} {count}" for reason, count in rejected.items() if count)
         or "no reason counted"
     )
-    advice = {
-        "collision": "the gripper may be too large for the heap; try another gripper",
-        "unseen": "much of the scene is hidden from the camera; look from another place",
-        "workspace": "the region may be too small or misplaced, or have no walls (region.walls)",
-        "tilt": "raise max_tilt",
-        "excluded": "send fewer poses in `exclude` or a smaller exclude_radius",
-    }
-    worst = max(rejected, key=lambda reason: rejected[reason], default="")
+    told = " ".join(hints) or "Check the region and the cloud."
     return (
-        f"none of {drawn} drawn grasps of {gripper} was kept ({counts}). To do: "
-        f"{advice.get(worst, 'check the region and the cloud')}, or raise the parameter drawn."
+        f"none of {drawn} drawn grasps of {gripper} was kept ({counts}). {told} Or raise the "
+        "parameter drawn."
     )

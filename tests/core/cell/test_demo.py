@@ -34,7 +34,8 @@ class ScriptedSynthesizer:
             tcp = np.diag([1.0, -1.0, -1.0, 1.0])
             tcp[:3, 3] = pose[:3, 3]
             poses.append(tcp)
-        grasps = [RankedGrasp(tcp, tcp, tcp, 0.5, float("nan"), 0.01, 0.0, True) for tcp in poses]
+        nan = float("nan")
+        grasps = [RankedGrasp(tcp, tcp, tcp, tcp, 0.5, nan, 0.01, 0.0, True) for tcp in poses]
         return SimpleNamespace(grasps=grasps, rejected={"collision": 3})
 
 
@@ -48,7 +49,7 @@ def cell(monkeypatch):
     )
     attempts = []
 
-    def judge(world, pose, *, graspable, approach):
+    def judge(world, pose, *, graspable, approach, opening, on_phase):
         attempts.append(pose)
         if len(attempts) == 1:
             return Verdict(False, Reason.SLIPPED)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import trimesh
 from PIL import Image
 
 from megrasp_core.cli import main
@@ -302,6 +304,26 @@ def test_objects_generate(capsys, tmp_path):
     assert code == 2 and "expected at least 1" in told
 
 
+def test_objects_prepare(capsys, tmp_path):
+    scans, out = tmp_path / "scans", tmp_path / "out"
+    scans.mkdir()
+    trimesh.creation.box((60, 50, 40)).export(scans / "box.stl")
+    trimesh.creation.cylinder(20, 70).export(scans / "can.ply")
+    (scans / "torn.ply").write_text("ply\nformat ascii 1.0\nelement vertex 3\n")
+    args = ("objects", "prepare", scans, out, "--scale", 0.001, "--density", 1000)
+    code, said, _ = run(capsys, *args)
+    assert code == 1 and "failed: torn: " in said and "torn.ply cannot be read" in said
+    assert "box: 60 x 50 x 40 mm, 0.12 kg, 1 convex piece" in said
+    assert f"wrote 2 objects to {out}" in said
+    with Image.open(out / "objects.png") as image:
+        assert image.width > 600 and len(np.unique(np.asarray(image))) > 30
+    (scans / "torn.ply").unlink()
+    code, said, _ = run(capsys, *args, "--no-picture")
+    assert code == 0 and said.startswith(f"wrote 0 objects to {out}") and "kept 2" in said
+    code, _, told = run(capsys, "objects", "prepare", tmp_path / "none", out)
+    assert code == 2 and "no folder" in told
+
+
 @pytest.mark.parametrize(
     ("args", "word"),
     [
@@ -347,8 +369,8 @@ def test_wrong_command_lines_are_exit_code_2(capsys, args):
     "args",
     [
         (), ("demo",), ("synthesize",), ("gripper",), ("gripper", "check"), ("train",), ("bench",),
-        ("objects", "generate"), ("data", "grasps"), ("data", "scenes"), ("data", "pack"),
-        ("eval",), ("data", "look"),
+        ("objects", "generate"), ("objects", "prepare"), ("data", "grasps"), ("data", "scenes"),
+        ("data", "pack"), ("eval",), ("data", "look"),
     ],
 )  # fmt: skip
 def test_help_has_an_example(capsys, args):
@@ -359,9 +381,61 @@ def test_help_has_an_example(capsys, args):
 def test_help_imports_nothing_heavy():
     script = (
         "import sys\nfrom megrasp_core.cli import main\nmain(['--help'])\n"
-        "print(sorted({'torch', 'mujoco', 'open3d', 'scipy'} & set(sys.modules)))"
+        "print(sorted({'torch', 'mujoco', 'open3d', 'scipy', 'viser'} & set(sys.modules)))"
     )
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )
     assert done.stdout.strip().endswith("[]")
+
+
+def test_a_synthesis_loads_nothing_that_only_other_commands_need():
+    script = (
+        "import sys\nfrom megrasp_core.synthesizer import GraspSynthesizer\n"
+        "GraspSynthesizer.load(gripper='robotiq_2f85')\n"
+        "unneeded = {'e3nn', 'matplotlib', 'open3d', 'ray', 'scipy.optimize', 'viser'}\n"
+        "print(sorted(unneeded & set(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"
+
+
+SPEAKS = """import sys, time
+from megrasp_core.cli import app, main
+def speak() -> int:
+    for _ in range(400):
+        print("word " * 40, flush=True)
+    sys.stderr.write("spoke to the end")
+    return 0
+class Commands:
+    def cli(self, **_):
+        return speak()
+app.commands.app = Commands
+sys.exit(main())
+"""
+
+
+HELPS = "import sys; from megrasp_core.cli import main; sys.exit(main(['--help']))"
+
+
+@pytest.mark.parametrize("script", [SPEAKS, HELPS])
+def test_output_that_is_closed_early_ends_a_command_quietly(script):
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(
+        [sys.executable, "-c", script], stdout=write, stderr=subprocess.PIPE, text=True
+    )
+    os.close(write)
+    assert done.returncode == 1 and done.stderr == ""
+
+
+def test_another_broken_pipe_is_told(capsys, monkeypatch):
+    class Commands:
+        def cli(self, **_):
+            raise BrokenPipeError(32, "Broken pipe")
+
+    monkeypatch.setattr("megrasp_core.cli.commands.app", Commands)
+    code, _, told = run(capsys)
+    assert code == 1 and "a process that it worked with has ended" in told

@@ -44,7 +44,7 @@ class Scripted(Planner):
         if self.pose is not None:
             back = self.pose.copy()
             back[:3, 3] -= 0.1 * back[:3, 2]
-            grasps = [RankedGrasp(self.pose, self.pose, back, 0.5, 0.04, 0.01, 0.0, True)]
+            grasps = [RankedGrasp(self.pose, self.pose, back, back, 0.5, 0.04, 0.01, 0.0, True)]
         return Synthesis(grasps, {}, {"total": 0.0}, 0, 100, 20, "robotiq_2f85", self.name)
 
 

@@ -81,6 +81,27 @@ def test_missing_meshes_are_listed(tmp_path):
         make(model, tmp_path / "out")
 
 
+def test_meshes_in_other_letter_case_are_found(tmp_path):
+    """As file systems that do not tell case apart leave them; the note says which was taken."""
+    model = urdf(tmp_path / "in", prefix="Meshes/")
+    (model.parent / "meshes" / "palm.stl").rename(model.parent / "meshes" / "PALM.STL")
+    notes = make(model, tmp_path / "out").notes
+    assert any("PALM.STL was taken" in note for note in notes)
+
+
+def test_meshes_outside_the_root_are_not_looked_for(tmp_path):
+    """Of an arm without its meshes, only what hangs from the named link is wanted."""
+    model = urdf(tmp_path / "in")
+    arm_link = (
+        '<link name="arm"><visual><geometry><mesh filename="gone.stl"/></geometry></visual></link>'
+        '<joint name="flange" type="fixed"><parent link="arm"/><child link="palm"/></joint>'
+    )
+    model.write_text(model.read_text().replace("</robot>", f"{arm_link}</robot>"))
+    with pytest.raises(DescriptionError, match=r"gone.stl \(link 'arm'\).*--root LINK"):
+        make(model, tmp_path / "a")
+    assert not make(model, tmp_path / "b", root="palm").errors
+
+
 def test_package_paths(tmp_path, monkeypatch):
     """An unreachable package names the option; the option, a prefix and a near folder help."""
     for variable in ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH", "COLCON_PREFIX_PATH"):
@@ -114,11 +135,6 @@ def test_link_of_the_loader_s_name_is_renamed(tmp_path):
     [
         ("a.urdf", "hello", "is no XML"),
         ("a.xml", "<sdf/>", r"outermost element is <sdf>; expected <robot> or <mujoco>"),
-        (
-            "a.urdf.xacro",
-            '<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:macro name="a"/></robot>',
-            r"xacro a.urdf.xacro > a.urdf",
-        ),
         ("a.xml", mjcf('<body><geom size="0.05"/></body>'), "has no moving joint"),
         ("a.xml", mjcf(BALL), "'b' is neither hinge nor slide"),
         ("a.xml", two_arms(), r"more than a gripper.*--root LINK.*: left_palm, palm"),
@@ -220,6 +236,11 @@ def test_score_command(tmp_path, capsys, monkeypatch):
     (made / "gripper.yaml").write_text(text.replace("tcp: [0.0, 0.0, 0.0", "tcp: [0.0, 0.0, 0.1"))
     assert main(score) == 1
     assert "WRONG" in capsys.readouterr().out
+    drawn = ["gripper", "score-wizard", "--jaws", "1", "--out", str(tmp_path / "jaws.json")]
+    assert main(drawn) == 0
+    assert json.loads((tmp_path / "jaws.json").read_text())["right"] == 1
+    assert main([*drawn, "--folder", str(made.parent)]) == 2
+    assert "neither names nor --folder" in capsys.readouterr().err
     monkeypatch.delenv("MEGRASP_ASSETS", raising=False)
     assert main(["gripper", "score-wizard"]) == 2
     assert "--folder" in capsys.readouterr().err

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from megrasp_core.errors import InvalidRequestError
 from megrasp_core.lie import irreps_dim, rotate, so3, wigner_d, wigner_matrices
-from megrasp_core.lie.wigner import _l2_basis
+from megrasp_core.lie.wigner import l2_basis
 
 WIDE = "64x0e+32x1o+16x2e"
 
@@ -55,9 +55,7 @@ def test_homomorphism(seed: int) -> None:
 
 def test_basis_is_e3nns_wigner_3j(double: None) -> None:
     q = math.sqrt(5) * o3.wigner_3j(1, 1, 2).reshape(9, 5)
-    torch.testing.assert_close(
-        _l2_basis(torch.float64, torch.device("cpu")), q, rtol=0, atol=1e-14
-    )
+    torch.testing.assert_close(l2_basis(torch.float64, torch.device("cpu")), q, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2])

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from megrasp_core.meshes import Mesh, RayScene, joined, sample_stratified, sample_uniform
+from megrasp_core.meshes import (
+    Mesh,
+    RayScene,
+    SurfaceScene,
+    joined,
+    sample_stratified,
+    sample_uniform,
+)
 
 
 def box(*extents: float) -> Mesh:
@@ -30,25 +37,49 @@ def test_area_and_joining() -> None:
 
 
 def test_rays_tell_what_they_hit_first() -> None:
-    scene = RayScene([box(1.0, 1.0, 1.0), box(1.0, 1.0, 1.0).moved(at(3.0))], apart=True)
+    boxes = [box(1.0, 1.0, 1.0), box(1.0, 1.0, 1.0).moved(at(3.0))]
+    scene = RayScene(boxes, apart=True)
     rays = np.array([[-2.0, 0, 0, 1, 0, 0], [1.5, 0, 0, 1, 0, 0], [-2.0, 0, 0, -1, 0, 0]])
     hits = scene.cast(rays)
     np.testing.assert_allclose(hits.distance, [1.5, 1.0, np.inf], rtol=1e-6)
     assert hits.mesh[:2].tolist() == [0, 1]
     assert hits.normals[0].tolist() == [-1.0, 0.0, 0.0]
+    assert hits.normals[2].tolist() == [0.0, 0.0, 0.0]
     assert scene.blocked(rays).tolist() == [True, True, False]
-    ray, distance, _ = scene.crossings(rays[:1])
+    image = scene.cast(np.tile(rays, (4, 1, 1)))
+    assert image.distance.shape == image.mesh.shape == (4, 3)
+    assert image.normals.shape == (4, 3, 3)
+    assert (image.distance == hits.distance).all()
+    assert scene.cast(np.zeros((0, 6))).distance.shape == (0,)
+    assert RayScene([]).cast(rays).distance.tolist() == [np.inf] * 3
+    ray, distance, _ = SurfaceScene(boxes).crossings(rays[:1])
     assert ray.tolist() == [0, 0, 0, 0]
     np.testing.assert_allclose(np.sort(distance), [1.5, 2.5, 4.5, 5.5], rtol=1e-6)
 
 
 def test_the_nearest_point_and_its_distance() -> None:
-    scene = RayScene([box(1.0, 1.0, 1.0)])
+    scene = SurfaceScene([box(1.0, 1.0, 1.0)])
     points = np.array([[2.0, 0.1, 0.2], [0.0, 0.0, 0.1]])
     np.testing.assert_allclose(scene.distance(points), [1.5, 0.4], atol=1e-6)
     np.testing.assert_allclose(
         scene.nearest(points), [[0.5, 0.1, 0.2], [0.0, 0.0, 0.5]], atol=1e-6
     )
+
+
+def test_first_hits_are_the_nearest_crossings() -> None:
+    """Two engines agree on a surface that is not convex."""
+    knot = trimesh.creation.torus(0.3, 0.1)
+    meshes = [Mesh(np.array(knot.vertices), np.array(knot.faces, np.int64))]
+    rng = np.random.default_rng(4)
+    rays = np.hstack([rng.normal(size=(500, 3)), 0.3 * rng.normal(size=(500, 3))])
+    rays[:, 3:] -= rays[:, :3]
+    ray, distance, _ = SurfaceScene(meshes).crossings(rays)
+    first = np.full(500, np.inf)
+    np.minimum.at(first, ray, distance)
+    hits = RayScene(meshes).cast(rays)
+    assert 50 < np.isfinite(first).sum() < 450
+    np.testing.assert_allclose(hits.distance, first, rtol=1e-5)
+    assert (RayScene(meshes).blocked(rays) == np.isfinite(first)).all()
 
 
 def test_points_are_drawn_by_area() -> None:

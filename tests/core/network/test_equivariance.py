@@ -7,7 +7,6 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from e3nn.o3 import Irreps
 from network_scenes import motions, moved, on_flat, scene, tokens
 from scipy.spatial.transform import Rotation
 
@@ -21,7 +20,14 @@ from megrasp_core.network.convolution import (
     SelfProduct,
     harmonics,
 )
-from megrasp_core.network.irreps import EquivariantLinear, EquivariantNorm, Gate, pack, unpack
+from megrasp_core.network.irreps import (
+    EquivariantLinear,
+    EquivariantNorm,
+    Gate,
+    Irreps,
+    pack,
+    unpack,
+)
 
 IRREPS = "8x0e+4x1o+3x2e"
 TOLERANCE = {torch.float32: 1e-4, torch.float64: 1e-10}
@@ -47,7 +53,7 @@ def shaken(module: torch.nn.Module, dtype: torch.dtype) -> torch.nn.Module:
 @pytest.mark.parametrize("layer", [EquivariantNorm, Gate, SelfProduct, EquivariantLinear])
 def test_pointwise_layers_are_equivariant(layer, dtype):
     module = shaken(layer(IRREPS, IRREPS) if layer is EquivariantLinear else layer(IRREPS), dtype)
-    irreps_in, irreps_out = Irreps(module.irreps_in), Irreps(module.irreps_out)
+    irreps_in, irreps_out = module.irreps_in, module.irreps_out
     run = on_flat(module)
     x = torch.randn(20, irreps_in.dim, dtype=dtype, generator=torch.Generator().manual_seed(0))
     for turn, _ in motions(5):
@@ -65,7 +71,7 @@ def test_message_passing_is_equivariant(make, dtype):
     vectors[:, 0] = 0.0
     index = torch.randint(0, n, (n, k))
     basis = torch.rand(n, k, 5, dtype=dtype)
-    x = torch.randn(n, Irreps(IRREPS).dim, dtype=dtype)
+    x = torch.randn(n, Irreps.of(IRREPS).dim, dtype=dtype)
     if make == "convolution":
         module = shaken(ReducedConvolution(IRREPS, 5, 8), dtype)
     else:

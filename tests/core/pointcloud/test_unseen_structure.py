@@ -50,6 +50,16 @@ def test_the_floor_and_walls_of_a_black_bin() -> None:
     assert height.max() < 0.15
 
 
+def test_what_stands_higher_than_the_crop_hides_the_floor() -> None:
+    floor = top(0.0, 0.0, 0.0, edge=0.40)
+    floor = floor[np.abs(floor[:, 1]) < 0.15]
+    tall = top(0.0, 0.0, 0.40, edge=0.15)
+    hidden = (np.abs(floor[:, :2]) < 0.075 * 0.8 / 0.4).all(axis=1)
+    assert hidden.mean() > 0.6
+    found = unseen_structure(seen(np.concatenate([floor[~hidden], tall]), BIN))
+    assert len(found.points) == 0
+
+
 def test_what_lies_behind_an_object_stays_unknown() -> None:
     found = unseen_structure(seen(OBJECTS, BIN))
     # A ray through the middle of the second object meets the floor behind it.

@@ -108,7 +108,7 @@ def some_check(unseen=0.0, clearance=0.01, n: int = 1) -> GraspCheck:
 
 def some_contacts(quality: float) -> Contacts:
     one = np.ones(1)
-    return Contacts(one.astype(int), 0.03 * one, 0 * one, 0.01 * one, one, quality * one)
+    return Contacts(one.astype(int), 0.03 * one, 0 * one, 0.01 * one, one, quality * one, 0 * one)
 
 
 def test_without_a_calibration_the_score_is_the_confidence():

@@ -31,8 +31,9 @@ def assess(tcp: np.ndarray, contacts: bool) -> Assessment:
         tilt=np.zeros(n),
     )
     score = np.exp(-np.linalg.norm(tcp[:, :3, 3] - GOAL, axis=1) / 0.02)
-    poses = PoseSet(tcp.copy(), tcp.copy(), tcp.copy())
-    return Assessment(poses, check, None, score, score)
+    poses = PoseSet(*(tcp.copy() for _ in range(4)))
+    nothing = np.zeros(n)
+    return Assessment(poses, check, None, score, score, nothing, nothing, nothing)
 
 
 def samples(count: int = 6, seed: int = 0) -> np.ndarray:

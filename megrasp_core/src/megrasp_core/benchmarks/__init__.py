@@ -1,6 +1,8 @@
 """Speed and rates.
 
 - `synthesis`, `training`, `data`, `rendering`: what `megrasp bench` measures.
+- `bins`, with `bin_scenes`: how often and how well bins are found, and none on tables.
 - `trial_profile`, `rate_tables`, `data_plan`: where the time of a trial goes, tables, core-hours
   of a large data set.
+- `object_pieces`: convex pieces of prepared objects against those of others.
 """

@@ -42,6 +42,8 @@ class PickRecord:
         objects_left: in the bin.
         score: of the executed grasp; None where there was none.
         width: what it was to close on (m).
+        width_tolerance: how well that was known (m).
+        closed_width: where the fingers stood at the end (m).
         returned: grasps of the answer.
         synthesis_seconds: wall time of the answer.
         execution_seconds: wall time of the attempt.
@@ -57,19 +59,37 @@ class PickRecord:
     objects_left: int
     score: float | None = None
     width: float | None = None
+    width_tolerance: float | None = None
+    closed_width: float | None = None
     returned: int = 0
     synthesis_seconds: float = 0.0
     execution_seconds: float = 0.0
     rejected: dict[str, int] = field(default_factory=dict)
     picture: str | None = None
 
+    @property
+    def as_expected(self) -> bool | None:
+        """Whether the fingers stood where the grasp said: what a cell can see without a camera.
+        None where that is not known.
+        """
+        numbers = (self.width, self.width_tolerance, self.closed_width)
+        if any(number is None or math.isnan(number) for number in numbers):
+            return None
+        width, tolerance, closed = (float(number or 0.0) for number in numbers)
+        return abs(closed - width) <= tolerance
+
     def line(self) -> str:
         """One line for a terminal."""
         what = ", ".join(self.removed) if self.removed else "nothing"
         score = "  -  " if self.score is None else f"{self.score:5.2f}"
+        fingers = ""
+        if self.as_expected is not None:
+            closed, width = 1000 * (self.closed_width or 0.0), 1000 * (self.width or 0.0)
+            word = "as" if self.as_expected else "not as"
+            fingers = f", fingers at {closed:.0f} mm ({word} expected: {width:.0f})"
         outcome = f"lifted {what}" if self.success else f"failed ({self.reason}), removed {what}"
         return (
-            f"pick {self.attempt:2d}  {self.gripper:<14s} score {score}  {outcome}; "
+            f"pick {self.attempt:2d}  {self.gripper:<14s} score {score}  {outcome}{fingers}; "
             f"{self.objects_left} left  [{self.returned} grasps in {self.synthesis_seconds:.2f} "
             f"s, executed in {self.execution_seconds:.2f} s]"
         )

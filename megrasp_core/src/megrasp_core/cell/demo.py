@@ -150,7 +150,7 @@ def _attempt(
         )
     grasp = synthesis.grasps[chosen]
     begun = time.monotonic()
-    result = cell.execute(grasp.world_from_gripper, grasp.world_from_gripper_approach)
+    result = cell.execute(grasp.world_from_gripper, grasp.world_from_gripper_approach, grasp.share)
     return PickRecord(
         success=result.success,
         reason=result.error,
@@ -158,6 +158,8 @@ def _attempt(
         objects_left=result.objects_left,
         score=float(grasp.score),
         width=float(grasp.width),
+        width_tolerance=float(grasp.width_tolerance),
+        closed_width=float(result.width),
         execution_seconds=time.monotonic() - begun,
         **common,
     )

@@ -27,6 +27,7 @@ class PickCycle:
             excluded from the next plan.
         failures: attempts without success since then; more than `failed` holds where nothing was
             found to execute.
+        joints: of the gripper at the end of the last attempt, before it left.
     """
 
     def __init__(self, world: World, obstacles: Collection[int] = ()) -> None:
@@ -34,6 +35,7 @@ class PickCycle:
         self.obstacles = frozenset(obstacles)
         self.failed: list[NDArray[np.float64]] = []
         self.failures = 0
+        self.joints: dict[str, float] = {}
 
     @property
     def left(self) -> list[int]:
@@ -54,13 +56,14 @@ class PickCycle:
         """What would become of a grasp; the scene is as before afterwards."""
         state = self.world.save()
         try:
-            return self._try(grasp.world_from_gripper, self._way(grasp, approach))
+            return self._try(grasp.world_from_gripper, self._way(grasp, approach), grasp.share)
         finally:
             self.world.restore(state)
 
     def execute(self, grasp: RankedGrasp, *, approach: bool = True) -> Verdict:
         """Carry out a grasp; see `carry_out`. What fails is remembered."""
-        verdict = self.carry_out(grasp.world_from_gripper, self._way(grasp, approach))
+        way = self._way(grasp, approach)
+        verdict = self.carry_out(grasp.world_from_gripper, way, grasp.share)
         self.count(verdict.success, grasp.world_from_tcp)
         return verdict
 
@@ -68,6 +71,7 @@ class PickCycle:
         self,
         world_from_gripper: NDArray[np.float64],
         approach: NDArray[np.float64] | None = None,
+        opening: float = 0.0,
         *,
         on_phase: Callable[[str], None] | None = None,
     ) -> Verdict:
@@ -78,6 +82,7 @@ class PickCycle:
             world_from_gripper: (4, 4) pre-grasp.
             approach: (4, 4) world_from_gripper at the stand-off, from where the path to the
                 pre-grasp is tested for collision; None: no path is tested.
+            opening: share of the way from open to closed at which the fingers start.
             on_phase: called at the beginning of `approach`, `close`, `lift` and `drop`; may raise
                 CancelledError.
 
@@ -87,7 +92,8 @@ class PickCycle:
         """
         before = self.world.save()
         try:
-            verdict = self._try(world_from_gripper, approach, on_phase)
+            verdict = self._try(world_from_gripper, approach, opening, on_phase)
+            self.joints = self.world.hand.joints()
             if verdict.success and on_phase is not None:
                 on_phase("drop")
             self.clear(verdict.lifted if verdict.success else ())
@@ -119,6 +125,7 @@ class PickCycle:
         self,
         world_from_gripper: NDArray[np.float64],
         approach: NDArray[np.float64] | None,
+        opening: float,
         on_phase: Callable[[str], None] | None = None,
     ) -> Verdict:
         return judge(
@@ -126,6 +133,7 @@ class PickCycle:
             world_from_gripper,
             graspable=self.left,
             approach=approach,
+            opening=opening,
             on_phase=on_phase,
         )
 

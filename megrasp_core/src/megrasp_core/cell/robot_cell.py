@@ -22,6 +22,7 @@ from megrasp_core.errors import InvalidRequestError, UnknownGripperError
 from megrasp_core.grippers import Gripper, load_gripper
 from megrasp_core.objects import ObjectModel, procedural_object
 from megrasp_core.pointcloud import Cloud, OrientedBox
+from megrasp_core.ranking import ClosingPath, gripper_probe
 from megrasp_core.simulation import (
     Bin,
     Camera,
@@ -77,6 +78,8 @@ class ExecutionResult:
     spilled: names of the objects that ended up outside the bin, which are taken out of the scene
     too.
     error: "" or the verdict's reason.
+    width: between the fingers at the end, with the object between them if there is one (m); NaN
+    for hands.
     depth: deepest penetration of the open gripper with anything before closing (m).
     """
 
@@ -86,6 +89,7 @@ class ExecutionResult:
     objects_left: int
     error: str
     depth: float
+    width: float = float("nan")
 
 
 class RobotCell:
@@ -125,6 +129,7 @@ class RobotCell:
         self._version = 0
         self._gone: set[int] = set()
         self._view: CellView | None = None
+        self._ways: dict[str, ClosingPath | None] = {}
         first = mounted or rack[0].name
         if first not in self._rack:
             raise UnknownGripperError(first, self._rack)
@@ -223,6 +228,7 @@ class RobotCell:
         self,
         world_from_gripper: NDArray[np.float64],
         approach: NDArray[np.float64] | None = None,
+        opening: float = 0.0,
         *,
         on_phase: Callable[[str], None] | None = None,
     ) -> ExecutionResult:
@@ -230,6 +236,7 @@ class RobotCell:
 
         world_from_gripper: (4, 4) pre-grasp. approach: (4, 4) world_from_gripper at the stand-off,
         from where the path to the pre-grasp is tested for collision; None: no path is tested.
+        opening: share of the way from open to closed at which the fingers start.
         on_phase: called at the beginning of `approach`, `close`, `lift` and `drop`; may raise
         CancelledError.
 
@@ -238,7 +245,8 @@ class RobotCell:
         """
         pose = checked_pose(world_from_gripper, "world_from_gripper")
         start = None if approach is None else checked_pose(approach, "approach")
-        verdict = PickCycle(self._world).carry_out(pose, start, on_phase=on_phase)
+        cycle = PickCycle(self._world)
+        verdict = cycle.carry_out(pose, start, opening, on_phase=on_phase)
         lifted = sorted(verdict.lifted) if verdict.success else []
         spilled = [i for i in outside_bin(self._world) if i not in lifted]
         for index in spilled:
@@ -253,7 +261,16 @@ class RobotCell:
             objects_left=self.objects_left,
             error="" if verdict.success else verdict.reason.value,
             depth=float(verdict.depth),
+            width=self._width(cycle.joints),
         )
+
+    def _width(self, joints: dict[str, float]) -> float:
+        if self._gripper.name not in self._ways:
+            self._ways[self._gripper.name] = gripper_probe(self._gripper).closing
+        way = self._ways[self._gripper.name]
+        if way is None:
+            return float("nan")
+        return float(np.interp(self._gripper.share_of(joints), way.shares, way.widths))
 
     def change_tool(self, name: str) -> None:
         """Mounts another gripper of the rack; the objects stay where they are, at rest.

@@ -15,7 +15,7 @@ __all__ = ["bench"]
 def bench(
     out: Path | None = None,
     device: Literal["cpu", "cuda"] = "cpu",
-    stage: Literal["synthesis", "render", "data", "training"] = "synthesis",
+    stage: Literal["synthesis", "render", "data", "training", "bins"] = "synthesis",
     gripper: str = "robotiq_2f85",
     model: str | None = None,
     threads: int | None = None,
@@ -23,17 +23,21 @@ def bench(
     page: Path | None = None,
     data: Path | None = None,
     against: Path | None = None,
+    scenes: int = 200,
+    seed: int = 0,
 ) -> int:
     """Seconds, CPU-seconds and memory of a synthesis, from cloud to ranked list.
 
     Or CPU-seconds: `render`, to render the open and closed cloud of all registered and of 50
     procedural grippers; `data`, rates of the data generator for the grippers that are trained;
-    `training`, poses a second in training beside those of an older checkout.
+    `training`, poses a second in training beside those of an older checkout. `bins`: how often and
+    how well bins are found in simulated clouds, and how often one on a table without.
 
     Try:
       megrasp bench --threads 2 --out bench.json
       megrasp bench --stage render --out render.json
       megrasp bench --stage data --out docs/results/data_bench.json --page docs/data.md
+      megrasp bench --stage bins --out docs/results/bin_finder.json --page docs/bins.md
       git worktree add ../before 1540005
       megrasp bench --stage training --data data/scenes --against ../before --repeats 3
 
@@ -45,16 +49,21 @@ def bench(
         model: id or folder (synthesis).
         threads: torch threads (synthesis); rendering takes one.
         repeats: timed calls per row.
-        page: markdown page whose lines between <!-- rates --> and <!-- /rates --> become tables
-            of the result (data).
+        page: markdown page whose lines between <!-- rates --> and <!-- /rates --> (data) or
+            <!-- bins --> and <!-- /bins --> (bins) become tables of the result.
         data: data set of scenes labelled for four grippers each (training).
         against: checkout to compare with (training).
+        scenes: scenes with a bin, and as many tables (bins).
+        seed: of the first scene; the others follow (bins).
     """
+    if scenes < 1:
+        raise InvalidRequestError(f"--scenes {scenes} was given; expected at least 1.")
     if repeats < 1:
         raise InvalidRequestError(f"--repeats {repeats} was given; expected at least 1.")
-    if page is not None and stage != "data":
+    if page is not None and stage not in ("data", "bins"):
         raise InvalidRequestError(
-            f"--page was given with --stage {stage}; expected --stage data, whose tables it takes."
+            f"--page was given with --stage {stage}; expected --stage data or bins, whose tables "
+            "it takes."
         )
     if (stage == "training") != (data is not None and against is not None):
         raise InvalidRequestError(
@@ -81,6 +90,18 @@ def bench(
                 repeats=repeats, on_progress=lambda done, _: bar.update(done - bar.n)
             )
         emit(content, out)
+        return 0
+    if stage == "bins":
+        from megrasp_core.benchmarks.bins import bench_bins, bin_tables
+
+        write = block_writer(page, "bins") if page is not None else None
+        with progress_bar(2 * scenes, stage) as bar:
+            content = bench_bins(
+                scenes, seed, on_progress=lambda done, _: bar.update(done - bar.n)
+            )
+        emit(content, out)
+        if write is not None:
+            write(bin_tables(content))
         return 0
     if stage == "data":
         from megrasp_core.benchmarks.data import bench_data

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from tyro.extras import SubcommandApp
 
 from .bench import bench
+from .bin import find
 from .calibrate import calibrate
 from .compare import compare
 from .data.generate import grasps, scenes, stats
@@ -26,9 +27,14 @@ from .gripper.inspect import check, listed, render, show
 from .gripper.new import new, score_wizard
 from .gripper.postures import postures
 from .gripper.sample import sample
-from .objects import generate
+from .gripper.view import view as view_gripper
+from .objects.compare import compare as compare_objects
+from .objects.generate import generate
+from .objects.prepare import prepare
+from .serve import serve
 from .synthesize import synthesize
 from .train import train
+from .view import view
 
 __all__ = ["COMMANDS", "app"]
 
@@ -38,6 +44,8 @@ Command = Callable[..., int]
 COMMANDS: dict[str, Command | tuple[str, dict[str, Command]]] = {
     "demo": demo,
     "synthesize": synthesize,
+    "serve": serve,
+    "view": view,
     "gripper": (
         "List, show, check, draw and add grippers.",
         {
@@ -45,6 +53,7 @@ COMMANDS: dict[str, Command | tuple[str, dict[str, Command]]] = {
             "show": show,
             "check": check,
             "render": render,
+            "view": view_gripper,
             "new": new,
             "sample": sample,
             "fidelity": fidelity,
@@ -53,7 +62,11 @@ COMMANDS: dict[str, Command | tuple[str, dict[str, Command]]] = {
             "score-wizard": score_wizard,
         },
     ),
-    "objects": ("Make objects to grasp.", {"generate": generate}),
+    "bin": ("Find bins in clouds.", {"find": find}),
+    "objects": (
+        "Make objects to grasp.",
+        {"generate": generate, "prepare": prepare, "compare": compare_objects},
+    ),
     "data": (
         "Make, pack and check training data.",
         {

@@ -93,7 +93,8 @@ def read_region(path: Path) -> tuple[OrientedBox, bool]:
     """Region and whether it is a bin, from a JSON or YAML file.
 
     `pose: [x, y, z, qx, qy, qz, qw]` of the centre, `size: [x, y, z]` full edges (m), and
-    optionally `walls: false` for a box that is no bin.
+    optionally `walls: false` for a box that is no bin. What `megrasp bin find` writes has `found`
+    besides, which says nothing of the region.
 
     Raises:
         InvalidRequestError: the file is missing or wrong.
@@ -113,7 +114,7 @@ def read_region(path: Path) -> tuple[OrientedBox, bool]:
         raise InvalidRequestError(
             f"region file {path} cannot be read ({error}); {expected}."
         ) from None
-    if not isinstance(content, dict) or set(content) - {"pose", "size", "walls"}:
+    if not isinstance(content, dict) or set(content) - {"pose", "size", "walls", "found"}:
         raise InvalidRequestError(f"region file {path} holds {content!r}; {expected}.")
     try:
         pose = [float(v) for v in content["pose"]]

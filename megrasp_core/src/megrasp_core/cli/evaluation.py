@@ -26,10 +26,11 @@ def evaluation(
     returned: int = 20,
     friction: float = 0.8,
     views: int = 10,
-    crop_floor: Flag = False,
+    crop_floor: Literal["known", "estimated"] | None = None,
     model: str | None = None,
     baseline: Flag = False,
     ceiling: Flag = False,
+    without: tuple[Literal["openings", "sweep", "turns", "polish"], ...] = (),
     device: str = "cpu",
     threads: int | None = None,
     seed: int = 1,
@@ -44,7 +45,9 @@ def evaluation(
       megrasp eval --gripper robotiq_2f85 --out binpick.json
       megrasp eval --gripper robotiq_2f85 --objects $MEGRASP_ASSETS/objects/devtest --out o.json
       megrasp eval --gripper robotiq_2f85 --baseline --out baseline.json
-      megrasp eval --gripper franka_hand --protocol declutter --views 1 --crop-floor --out c.json
+      megrasp eval --gripper franka_hand --protocol declutter --views 1 --out side.json
+      megrasp eval --gripper franka_hand --protocol declutter --crop-floor known --out c.json
+      megrasp eval --gripper robotiq_2f140 --without openings sweep --out plain.json
       megrasp eval --gripper robotiq_2f85 --ceiling --samples 0 --out ceiling.json
 
     Args:
@@ -60,11 +63,13 @@ def evaluation(
         returned: grasps returned per synthesis.
         friction: of everything.
         views: cameras around a table; 1: one side view, 52 degrees down.
-        crop_floor: cut the table from the cloud, as for planners that want segmented objects.
+        crop_floor: cut the table from the cloud, as for planners that want segmented objects, and
+            tell the planner its height and the region, or leave both to be estimated.
         model: id or folder.
         baseline: the analytic antipodal baseline instead of the model.
         ceiling: a planner that knows the true geometry and tries grasps before it names one: how
             far the protocol can be passed at all. Use it with --samples 0.
+        without: stages of the synthesis that are left out, to see what each of them gains.
         device: cpu or cuda.
         threads: torch threads.
         seed: of scenes, noise and samples.
@@ -75,7 +80,7 @@ def evaluation(
     from megrasp_core.evaluation.protocols import ProtocolSettings
     from megrasp_core.evaluation.report import evaluate
     from megrasp_core.grippers import load_gripper
-    from megrasp_core.synthesizer import GraspSynthesizer
+    from megrasp_core.synthesizer import GraspSynthesizer, SynthesizerSettings
 
     settings = ProtocolSettings(
         protocol=protocol, scenes=scenes, samples=samples, drawn=drawn, returned=returned,
@@ -89,7 +94,13 @@ def evaluation(
         planner = AntipodalPlanner(loaded)
     else:
         planner = ModelPlanner(
-            GraspSynthesizer.load(model, loaded, device=device, threads=threads)
+            GraspSynthesizer.load(
+                model,
+                loaded,
+                device=device,
+                threads=threads,
+                settings=SynthesizerSettings().without(without),
+            )
         )
     pool = load_pool(objects)
     with progress_bar(len(pool), "graspable objects") as bar:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from megrasp_core.grippers import Gripper, body_poses
 from megrasp_core.grippers.geometry import posed
-from megrasp_core.meshes import Mesh, RayScene
+from megrasp_core.meshes import Mesh, SurfaceScene
 
 __all__ = ["STILL", "ClosingMotion", "closing_motion", "pad_paths"]
 
@@ -74,7 +74,7 @@ def pad_paths(gripper: Gripper, motion: ClosingMotion) -> list[NDArray[np.float6
             if not own or int(body) in parents:
                 continue
             local = np.linalg.inv(motion.poses[0, body]) @ np.append(gripper.tcp, 1.0)
-            point = RayScene([one.mesh for one in own]).nearest(local[None, :3])[0]
+            point = SurfaceScene([one.mesh for one in own]).nearest(local[None, :3])[0]
             path = motion.poses[:, body, :3, :3] @ point + motion.poses[:, body, :3, 3]
             slope = abs(path[0, 2] - gripper.tcp[2]) / max(
                 float(np.linalg.norm(point - local[:3])), STILL

@@ -179,4 +179,5 @@ class CeilingPlanner(Planner):
         tilt = float(np.arccos(np.clip(pose[:3, 2] @ GRAVITY, -1.0, 1.0)))
         tcp = pose @ np.asarray(self.gripper.gripper_from_tcp)
         nan = float("nan")
-        return RankedGrasp(tcp, pose, self._approach(pose), 1.0, nan, nan, tilt, True)
+        back = self._approach(pose)
+        return RankedGrasp(tcp, pose, back, back, 1.0, nan, nan, tilt, True)

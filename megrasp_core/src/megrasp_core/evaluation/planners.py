@@ -19,10 +19,12 @@ from megrasp_core.pointcloud import Cloud, SceneNodes, neighbours
 from megrasp_core.ranking import GripperProbe, gripper_probe
 from megrasp_core.simulation import World
 from megrasp_core.synthesizer import (
+    Assessment,
     GraspSynthesizer,
     Synthesis,
     SynthesisRequest,
     SynthesizerSettings,
+    backed_off,
     perceive,
     pose_set,
     rank_poses,
@@ -109,8 +111,11 @@ class AntipodalPlanner(Planner):
         request, ranking = SynthesisRequest.of(**options), self._options.ranking
         seen = perceive(cloud, request, None, ranking)
         tcp = self.candidates(seen.nodes, request.drawn, np.random.default_rng(request.seed))
-        poses = pose_set(tcp, self.gripper, request)
-        assessed = seen.judge.assess(poses, self._probe, None)
+
+        def assess(tcp: np.ndarray) -> Assessment:
+            return seen.judge.assess(pose_set(tcp, self.gripper, request), self._probe, None)
+
+        assessed = backed_off(assess(tcp), assess, ranking.sweep)
         grasps, rejected = rank_poses(assessed, self._probe, request, ranking)
         return Synthesis(
             grasps=grasps,

@@ -36,7 +36,10 @@ SIDE_VIEW = 0.9
 """How steeply a single camera beside a table looks down (rad)."""
 CROPPED = 0.008
 """Up to this height over the table (m) a cloud is cut where the table is cut away."""
+BESIDE = 0.05
+"""So far outside the region (m) objects stay in such a cloud: they are still in the way."""
 
+CroppedFloor = Literal["known", "estimated"]
 PROTOCOLS: tuple[ProtocolName, ...] = ("binpick", "declutter", "single")
 
 
@@ -61,8 +64,9 @@ class ProtocolSettings:
         judged: so many of the returned grasps are judged one by one at every stage, best first,
             before the first is executed; for calibration.
         views: cameras around a table heap; one looks from the side, 52 degrees down.
-        crop_floor: the table is cut from the cloud and no region is given, as for planners that
-            want segmented objects.
+        crop_floor: the table is cut from the cloud, as for planners that want segmented objects;
+            the planner is told region and height of the table (`known`) or neither (`estimated`).
+            None: it stays.
         noise: of the depth camera; None: none.
         seed: of scenes, noise and samples.
     """
@@ -80,7 +84,7 @@ class ProtocolSettings:
     exclude_radius: float = 0.05
     judged: int = 0
     views: int = 10
-    crop_floor: bool = False
+    crop_floor: CroppedFloor | None = None
     noise: DepthNoise | None = field(default_factory=DepthNoise)
     seed: int = 1
 
@@ -95,12 +99,7 @@ class ProtocolSettings:
                 f"{self.returned} were given; expected at least 1, 0, 1 and 1."
             )
         if self.views < 1 or (
-            self.protocol == "binpick"
-            and (self.views, self.crop_floor)
-            != (
-                10,
-                False,
-            )
+            self.protocol == "binpick" and (self.views, self.crop_floor) != (10, None)
         ):
             raise InvalidRequestError(
                 f"views {self.views} and crop_floor {self.crop_floor} were given with "
@@ -175,9 +174,11 @@ def run_scene(
         cloud = cycle.look(cameras, settings.noise, rng)
         region = TABLE_REGION if world.bin is None else world.bin.region()
         if settings.crop_floor:
-            cloud = cloud.select(region.contains(cloud.points) & (cloud.points[:, 2] > CROPPED))
-        options = {
-            "region": None if settings.crop_floor else region,
+            near = region.grown(BESIDE).contains(cloud.points)
+            cloud = cloud.select(near & (cloud.points[:, 2] > CROPPED))
+        options: dict[str, Any] = {
+            "region": None if settings.crop_floor == "estimated" else region,
+            "floor": 0.0 if settings.crop_floor == "known" else None,
             "walls": world.bin is not None,
             "seed": int(rng.integers(2**31)),
         }

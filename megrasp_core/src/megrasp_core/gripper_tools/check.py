@@ -13,6 +13,7 @@ from megrasp_core.errors import DescriptionError
 from megrasp_core.grippers import POSTURES, Gripper, quiet_mujoco
 from megrasp_core.grippers.geometry import posed
 from megrasp_core.meshes import RayScene
+from megrasp_core.ranking import gripper_probe
 
 from .compare import PAD_HALF_HEIGHT, opening, pad_displacement
 from .symmetry import WARNING_RESIDUAL, symmetry_residual
@@ -24,6 +25,12 @@ WIDTH_TOLERANCE = 0.002
 PALM_OVERLAP = 0.001
 COUPLING_TOLERANCE = 0.002
 """Metres or radians that a given posture may be off a coupling or a closed loop of the model."""
+
+
+LEAST_OPENING = 0.005
+"""Grippers that open less (m) pick up nothing."""
+
+SAME_POSTURE = 1e-6
 
 
 @dataclass
@@ -47,12 +54,25 @@ def check_gripper(path: str | Path) -> GripperCheck:
     """Run every check on a gripper folder: description, model, frames, geometry, closing in
     simulation.
     """
-    try:
-        gripper = Gripper.from_path(path)
-    except DescriptionError as error:
-        return GripperCheck(str(path), errors=[str(error)])
-    result = GripperCheck(gripper.name)
-    _check_geometry(gripper, result)
+    with quiet_mujoco():
+        try:
+            gripper = Gripper.from_path(path)
+        except DescriptionError as error:
+            return GripperCheck(str(path), errors=[str(error)])
+        return find_mistakes(gripper)
+
+
+def find_mistakes(gripper: Gripper) -> GripperCheck:
+    """Run every check on a loaded gripper: all that `megrasp gripper new` and `megrasp gripper
+    check` have to say about it.
+    """
+    result = check_geometry(gripper)
+    if result.ok and gripper_probe(gripper).volume is None:
+        result.errors.append(
+            "no finger surfaces face each other along X and close; expected the closing axis "
+            "along X: correct mount_from_model, or the open posture, so that the pads look at "
+            "each other"
+        )
     _check_couplings(gripper, result)
     with quiet_mujoco():
         for timestep in TIMESTEPS:
@@ -68,9 +88,22 @@ def check_gripper(path: str | Path) -> GripperCheck:
     return result
 
 
+def check_geometry(gripper: Gripper) -> GripperCheck:
+    """Check TCP, sides of the fingers, direction of their motion, width; without simulation."""
+    result = GripperCheck(gripper.name)
+    _check_geometry(gripper, result)
+    return result
+
+
 def _check_geometry(gripper: Gripper, result: GripperCheck) -> None:
-    """Check TCP, sides of the fingers, direction of their motion, width."""
     description = gripper.description
+    difference = np.abs(gripper.qpos("open") - gripper.qpos("closed")).max(initial=0.0)
+    if difference < SAME_POSTURE:
+        result.errors.append(
+            "the open and the closed posture are the same; expected two between which the fingers "
+            "close"
+        )
+        return
     if not gripper.model.nu:
         result.errors.append(
             "no joint has a drive; expected at least one, name the joints to drive in 'actuation'"
@@ -80,11 +113,12 @@ def _check_geometry(gripper: Gripper, result: GripperCheck) -> None:
     for index in bare:
         result.errors.append(
             f"finger group {index + 1} ({', '.join(description.fingers[index])}) has no collision "
-            "geometry; expected some, or it cannot grasp in simulation"
+            "geometry; expected some, or it cannot grasp in simulation: `megrasp gripper new` "
+            "takes the visual shapes"
         )
     if bare or not (_palm_is_behind(gripper, result) and _fingers_reach(gripper, result)):
         return
-    x = [gripper.pad_points("open", group)[:, 0].mean() for group in (0, 1)]
+    x = [_place_along_x(gripper, group) for group in (0, 1)]
     if x[0] >= x[1]:
         result.errors.append(
             f"finger group 1 lies at x = {x[0]:.3f} m, group 2 at {x[1]:.3f} m; expected the "
@@ -108,6 +142,12 @@ def _check_geometry(gripper: Gripper, result: GripperCheck) -> None:
         )
     width = opening(gripper)
     result.measures["opening"] = width
+    widest = width if np.isfinite(width) else description.max_width
+    if widest is not None and widest < LEAST_OPENING:
+        result.errors.append(
+            f"the open fingers leave {1000 * widest:.1f} mm between them at the TCP; expected at "
+            f"least {1000 * LEAST_OPENING:.0f} mm: correct the open posture"
+        )
     if (
         description.max_width is not None
         and np.isfinite(width)
@@ -117,6 +157,15 @@ def _check_geometry(gripper: Gripper, result: GripperCheck) -> None:
             f"max_width is {1000 * description.max_width:.1f} mm, but the open fingers leave "
             f"{1000 * width:.1f} mm at the TCP; expected no more than they leave"
         )
+
+
+def _place_along_x(gripper: Gripper, group: int) -> float:
+    """Return the mean x (m) of an open finger group, of its part at the TCP's height where it has
+    one: a fixed jaw's group is the whole palm.
+    """
+    points = gripper.pad_points("open", group)
+    level = np.abs(points[:, 2] - gripper.tcp[2]) < PAD_HALF_HEIGHT
+    return float(points[level if level.any() else slice(None), 0].mean())
 
 
 def _palm_is_behind(gripper: Gripper, result: GripperCheck) -> bool:

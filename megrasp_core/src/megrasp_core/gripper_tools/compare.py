@@ -12,7 +12,13 @@ from scipy.spatial import KDTree
 from megrasp_core.grippers import POSTURES, Gripper
 from megrasp_core.grippers.geometry import posed
 from megrasp_core.grippers.render import visible
-from megrasp_core.meshes import Mesh, RayScene, sample_stratified, sample_uniform
+from megrasp_core.meshes import (
+    Mesh,
+    RayScene,
+    SurfaceScene,
+    sample_stratified,
+    sample_uniform,
+)
 
 PAD_HALF_HEIGHT = 0.015
 PAD_DEPTH = 0.010
@@ -66,7 +72,7 @@ def outer_points(meshes: Sequence[Mesh], count: int, seed: int) -> NDArray[np.fl
 
 def surface_distance(points: NDArray[np.float64], meshes: Sequence[Mesh]) -> NDArray[np.float64]:
     """Return the distance (N,) of points (N, 3) to the nearest triangle of the meshes."""
-    return RayScene(meshes).distance(points)
+    return SurfaceScene(meshes).distance(points)
 
 
 def opening(gripper: Gripper, posture: str = "open") -> float:

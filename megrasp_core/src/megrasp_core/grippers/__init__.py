@@ -31,10 +31,11 @@ from .model import (
     quiet_mujoco,
 )
 from .model_file import MODEL_SUFFIXES, read_xml
-from .model_mistakes import check_spec
+from .model_mistakes import NO_SUCTION, check_names, check_spec
 from .posture import SETTLE_DAMPING
 from .registry import cad_folders, cad_twins, gripper_folders, list_grippers, load_gripper
 from .render import render_cloud
+from .stroke import Stroke
 
 __all__ = [
     "Actuation",
@@ -49,12 +50,14 @@ __all__ = [
     "KINDS",
     "MODEL_SUFFIXES",
     "NEAR_TCP",
+    "NO_SUCTION",
     "POSTURES",
     "Pose",
     "PostureDescription",
     "ROOT_BODY",
     "SETTLE_DAMPING",
     "SOLIMP",
+    "Stroke",
     "URDF_ARMATURE",
     "VISUAL_GROUP",
     "body_meshes",
@@ -62,6 +65,7 @@ __all__ = [
     "build_spec",
     "cad_folders",
     "cad_twins",
+    "check_names",
     "check_spec",
     "compile_spec",
     "free_name",

@@ -25,7 +25,7 @@ class GripperClouds:
     `open_points`, `open_normals`, `closed_points`, `closed_normals`: (count, 3). `displacement`
     (count, 3) leads from each open point to the same point of the same link in the closed posture;
     `closed_displacement` is that of the closed points: from where the point was when open to where
-    it is.
+    it is. `open_bodies` (count,): the link of each open point.
     """
 
     open_points: NDArray[np.float64]
@@ -34,6 +34,7 @@ class GripperClouds:
     closed_normals: NDArray[np.float64]
     displacement: NDArray[np.float64]
     closed_displacement: NDArray[np.float64]
+    open_bodies: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,7 @@ def make_clouds(
         second.normals,
         _moved(first, bodies, open_poses, closed_poses) - first.points,
         second.points - _moved(second, bodies, closed_poses, open_poses),
+        bodies[first.mesh],
     )
 
 

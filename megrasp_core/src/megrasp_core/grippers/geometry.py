@@ -8,7 +8,6 @@ from functools import lru_cache
 
 import mujoco
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from megrasp_core.meshes import Mesh
@@ -96,6 +95,9 @@ def _geom_mesh(model: mujoco.MjModel, index: int, hull: bool) -> Mesh | None:
 @lru_cache
 def _unit_mesh(kind: mujoco.mjtGeom) -> Mesh:
     """Return the mesh of a geom of size 1."""
+    # Where clouds of a gripper are kept from before nobody needs its meshes: half a second less.
+    import trimesh
+
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         mesh = trimesh.creation.box(extents=(2.0, 2.0, 2.0))
     elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
@@ -107,6 +109,8 @@ def _unit_mesh(kind: mujoco.mjtGeom) -> Mesh:
 
 @lru_cache(maxsize=256)
 def _capsule(radius: float, half: float) -> Mesh:
+    import trimesh
+
     mesh = trimesh.creation.capsule(height=2.0 * half, radius=radius, count=[SECTIONS, SECTIONS])
     mesh.apply_translation(-mesh.bounds.mean(axis=0))
     return Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int64))
@@ -116,6 +120,8 @@ def _asset_mesh(model: mujoco.MjModel, mesh: int, hull: bool) -> Mesh:
     first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
     vertices = model.mesh_vert[first : first + count].astype(np.float64)
     if hull:
+        import trimesh
+
         convex = trimesh.Trimesh(vertices).convex_hull
         return Mesh(np.asarray(convex.vertices), np.asarray(convex.faces, np.int64))
     start, number = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]

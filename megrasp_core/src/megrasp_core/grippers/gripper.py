@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import cached_property, lru_cache
 from pathlib import Path
 
@@ -11,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from megrasp_core.errors import InvalidRequestError
+from megrasp_core.errors import DescriptionError, InvalidRequestError
 from megrasp_core.meshes import Mesh
 
 from .cache import recalled
@@ -21,6 +23,7 @@ from .geometry import BodyMesh, body_meshes, body_poses, geometry_arrays, posed
 from .model import build_spec, compile_spec
 from .posture import Posture, resolve_posture
 from .render import RENDERER
+from .stroke import Stroke, drive_stroke, make_stroke
 
 POSTURES = ("open", "closed")
 TOKEN_CLOUD = 1024
@@ -150,7 +153,47 @@ class Gripper:
         """Return points (M, 3) on the open posture's collision surface and their finger group
         (M,), -1 for the palm.
         """
-        return self._collision_points(spacing)
+        points, bodies = self._collision_points(spacing)
+        return points, self.finger_groups[bodies]
+
+    def collision_bodies(self, spacing: float = 0.005) -> NDArray[np.int64]:
+        """Return the body (M,) of `self.model` that each of the `collision_points` lies on."""
+        return self._collision_points(spacing)[1]
+
+    @cached_property
+    def stroke(self) -> Stroke:
+        """Postures from open to closed, as the fingers take them when they close on nothing."""
+        opened, closed = self._postures["open"], self._postures["closed"]
+        inputs = (
+            *(array for posture in (opened, closed) for array in (posture.qpos, posture.control)),
+            self.hash,
+        )
+        found = recalled(
+            "stroke", inputs, lambda: {"qpos": drive_stroke(self.model, opened, closed)}
+        )
+        return make_stroke(self.model, found["qpos"])
+
+    def share_of(self, joints: Mapping[str, float]) -> float:
+        """Return the share of the stroke, 0 open to 1 closed, at which the joints are nearest to
+        given positions; joints that are not named do not count.
+        """
+        names = [self.model.joint(i).name for i in range(self.model.njnt)]
+        known = [i for i, name in enumerate(names) if name in joints]
+        adr = self.model.jnt_qposadr[known]
+        wanted = np.array([joints[names[i]] for i in known], dtype=np.float64)
+        fine = np.linspace(0.0, 1.0, 8 * (len(self.stroke.shares) - 1) + 1)
+        way = np.stack([self.stroke.qpos_at(share)[adr] for share in fine])
+        return float(fine[np.square(way - wanted).sum(axis=1).argmin()])
+
+    def posture_at(self, share: float) -> dict[str, float]:
+        """Return joint name -> position at a share of the stroke, 0 open to 1 closed."""
+        if share == 0.0:
+            return self.open_joints
+        qpos = self.stroke.qpos_at(share)
+        return {
+            self.model.joint(i).name: float(qpos[self.model.jnt_qposadr[i]])
+            for i in range(self.model.njnt)
+        }
 
     def pad_points(self, posture: str, group: int, spacing: float = 0.004) -> NDArray[np.float64]:
         """Return collision surface points (M, 3) of a finger group in a posture, gripper frame."""
@@ -180,6 +223,19 @@ class Gripper:
             )
         return groups
 
+    @contextmanager
+    def _explained(self, which: str) -> Iterator[None]:
+        """Turn what the renderer says of a gripper without a surface into a DescriptionError."""
+        try:
+            yield
+        except ValueError as error:
+            path = self.description.model_path
+            raise DescriptionError(
+                f"{path}: the {which} geometry cannot be rendered: {error}. Expected shapes that "
+                f"can be seen from outside; `megrasp gripper new {path.name}` takes visual shapes "
+                "where a model has no collision geometry"
+            ) from error
+
     @cached_property
     def _visual_meshes(self) -> list[BodyMesh]:
         return body_meshes(self.model, "visual")
@@ -199,13 +255,14 @@ class Gripper:
         if count < 1:
             raise InvalidRequestError(f"count is {count}; expected at least 1 point")
         poses = self.body_poses("open"), self.body_poses("closed")
-        return GripperClouds(
-            **recalled(
-                "clouds",
-                (RENDERER, count, seed, *poses, *geometry_arrays(self.model)),
-                lambda: vars(make_clouds(self.body_meshes(), *poses, count, seed)),
+        with self._explained("visual"):
+            return GripperClouds(
+                **recalled(
+                    "clouds",
+                    (RENDERER, "bodies", count, seed, *poses, *geometry_arrays(self.model)),
+                    lambda: vars(make_clouds(self.body_meshes(), *poses, count, seed)),
+                )
             )
-        )
 
     def _make_tokens(self, count: int, seed: int) -> GripperTokens:
         if not 1 <= count <= TOKEN_CLOUD // 2:
@@ -228,5 +285,6 @@ class Gripper:
             return {"points": sample.points, "bodies": bodies[sample.mesh]}
 
         inputs = (RENDERER, spacing, poses, *geometry_arrays(self.model))
-        found = recalled("collision_points", inputs, make)
-        return found["points"], self.finger_groups[found["bodies"]]
+        with self._explained("collision"):
+            found = recalled("collision_points", inputs, make)
+        return found["points"], found["bodies"]

@@ -22,6 +22,8 @@ AXIS_TOLERANCE = 1e-3
 SMALLEST = 0.004
 """A whole gripper (m) is larger."""
 
+NO_SUCTION = "suction tools are not supported; grippers need two fingers that close"
+
 MESH_SUFFIXES = (".stl", ".obj", ".msh")
 URDF_JOINTS = ("revolute", "continuous", "prismatic", "fixed")
 NAMED = {"robot": ("link", "joint"), "mujoco": ("worldbody//body", "worldbody//joint")}
@@ -30,6 +32,17 @@ MOVING = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 
 def check_xml(root: ElementTree.Element, path: Path) -> None:
     """Raise DescriptionError for names given twice and, in a URDF, joints that lead nowhere."""
+    check_names(root, path)
+    if root.tag == "robot":
+        links = [link.get("name", "") for link in root.iterfind("link")]
+        joints = {joint.get("name", ""): joint for joint in root.iterfind("joint")}
+        moving = [name for name, joint in joints.items() if joint.get("type") != "fixed"]
+        for name, joint in joints.items():
+            _check_urdf_joint(name, joint, links, moving, path)
+
+
+def check_names(root: ElementTree.Element, path: Path) -> None:
+    """Raise DescriptionError for names given twice."""
     for kind in NAMED.get(root.tag, ()):
         names = [item.get("name", "") for item in root.iterfind(kind)]
         twice = [name for name in names if name and names.count(name) > 1]
@@ -38,12 +51,6 @@ def check_xml(root: ElementTree.Element, path: Path) -> None:
                 f"{path}: two elements <{kind.rpartition('/')[2]}> have the name '{twice[0]}'; "
                 "expected a name of its own for each"
             )
-    if root.tag == "robot":
-        links = [link.get("name", "") for link in root.iterfind("link")]
-        joints = {joint.get("name", ""): joint for joint in root.iterfind("joint")}
-        moving = [name for name, joint in joints.items() if joint.get("type") != "fixed"]
-        for name, joint in joints.items():
-            _check_urdf_joint(name, joint, links, moving, path)
 
 
 def _check_urdf_joint(
@@ -94,7 +101,7 @@ def check_spec(spec: mujoco.MjSpec, path: Path) -> None:
     if not spec.joints:
         raise DescriptionError(
             f"{path}: the model has no moving joint; expected fingers on revolute, prismatic, "
-            "hinge or slide joints. Was it exported with its joints fixed?"
+            f"hinge or slide joints. Was it exported with its joints fixed? ({NO_SUCTION})"
         )
     for joint in spec.joints:
         where = f"{path}: joint '{joint.name}' of link '{joint.parent.name}'"

@@ -67,16 +67,20 @@ def start_qpos(model: mujoco.MjModel) -> NDArray[np.float64]:
     return qpos
 
 
-def settle(model: mujoco.MjModel, control: NDArray[np.float64]) -> NDArray[np.float64]:
+def settle(
+    model: mujoco.MjModel,
+    control: NDArray[np.float64],
+    start: NDArray[np.float64] | None = None,
+) -> NDArray[np.float64]:
     """Drive the gripper with `control` (nu,) until it rests, gravity compensated; return qpos, nan
-    where it is unstable.
+    where it is unstable. `start` (nq,): from there, by default from `start_qpos`.
 
     Damping in proportion to inertia is added for this, so that models without any come to rest.
     """
     model = copy.copy(model)
     model.dof_damping += SETTLE_DAMPING * model.dof_M0
     data = mujoco.MjData(model)
-    data.qpos[:] = start_qpos(model)
+    data.qpos[:] = start_qpos(model) if start is None else start
     data.ctrl[:] = control
     steps = int(SETTLE_TIME / model.opt.timestep)
     with quiet_mujoco():

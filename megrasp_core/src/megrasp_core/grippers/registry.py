@@ -29,13 +29,15 @@ def search_folders(extra_paths: Iterable[str | Path] = ()) -> list[Path]:
 
     In this order: `extra_paths`, `MEGRASP_GRIPPER_PATH`, `share/gripper_descriptions` of every
     colcon prefix (`AMENT_PREFIX_PATH`), that of the Python prefix, `gripper_descriptions` of the
-    checkout.
+    checkout, that of the installed package.
     """
     folders = [Path(path) for path in extra_paths]
     folders += [Path(path) for path in os.environ.get(PATH_VARIABLE, "").split(":") if path]
     prefixes = [path for path in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if path]
     folders += [Path(prefix) / SHARE for prefix in (*prefixes, sys.prefix)]
-    folders += [parent / "gripper_descriptions" for parent in Path(__file__).resolve().parents]
+    here = Path(__file__).resolve()
+    folders += [parent / "gripper_descriptions" for parent in here.parents]
+    folders.append(here.parents[1] / SHARE)
     found = dict.fromkeys(folder.expanduser().resolve() for folder in folders)
     return [folder for folder in found if folder.is_dir()]
 

@@ -18,7 +18,9 @@ from megrasp_core.meshes import (
 )
 
 # What else the points depend on: raise the number when the same input gives others.
-RENDERER = "2, " + ", ".join(f"{name} {version(name)}" for name in ("numpy", "open3d", "fpsample"))
+RENDERER = "2, " + ", ".join(
+    f"{name} {version(name)}" for name in ("numpy", "embreex", "fpsample")
+)
 DIRECTIONS = 40
 OVERSAMPLING = 4
 STAND_OFF = 1e-4

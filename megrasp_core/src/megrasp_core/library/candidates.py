@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from megrasp_core.meshes import RayScene, sample_uniform
+from megrasp_core.meshes import SurfaceScene, sample_uniform
 
 from .finger_span import FingerSpan, hand_span
 
@@ -84,7 +84,7 @@ class ObjectSurface:
         self.mesh = model.mesh
         cross = self.mesh.crosses()
         self.normals = cross / np.maximum(np.linalg.norm(cross, axis=1), 1e-15)[:, None]
-        self._scene = RayScene([self.mesh])
+        self._scene = SurfaceScene([self.mesh])
 
     def sample(
         self, count: int, rng: np.random.Generator

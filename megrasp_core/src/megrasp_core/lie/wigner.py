@@ -26,7 +26,7 @@ Block = tuple[int, int]
 
 
 @functools.cache
-def _l2_basis(dtype: torch.dtype, device: torch.device) -> Tensor:
+def l2_basis(dtype: torch.dtype, device: torch.device) -> Tensor:
     """Q (9, 5): orthonormal columns, row 3 i + j."""
     a, b = math.sqrt(1 / 2), math.sqrt(1 / 6)
     q = torch.zeros(3, 3, 5, dtype=torch.float64)
@@ -53,7 +53,7 @@ def wigner_d(degree: int, rotation: Tensor) -> Tensor:
         raise InvalidRequestError(
             f"got degree l = {degree}; expected 0, 1 or 2, the degrees of Megrasp's features"
         )
-    q = _l2_basis(rotation.dtype, rotation.device)
+    q = l2_basis(rotation.dtype, rotation.device)
     kron = rotation[..., :, None, :, None] * rotation[..., None, :, None, :]
     kron = kron.reshape(*rotation.shape[:-2], 9, 9)
     with torch.autocast(rotation.device.type, enabled=False):

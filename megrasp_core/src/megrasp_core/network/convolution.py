@@ -11,15 +11,16 @@ from __future__ import annotations
 import dataclasses
 
 import torch
-from e3nn.o3 import Irreps, spherical_harmonics, wigner_3j
 from torch import Tensor, nn
+
+from megrasp_core.lie import coupling, spherical_harmonics
 
 from .irreps import (
     EquivariantLinear,
     EquivariantNorm,
     Gate,
+    Irreps,
     Steerable,
-    as_irreps,
     multiplicities,
     scalars_of,
     sum_of,
@@ -43,11 +44,7 @@ def harmonics(vectors: Tensor) -> dict[int, Tensor]:
     length = vectors.norm(dim=-1, keepdim=True)
     unit = vectors / length.clamp_min(1e-9)
     alive = (length > 1e-7).to(vectors.dtype)
-    return {
-        degree: spherical_harmonics(degree, unit, normalize=False, normalization="component")
-        * alive
-        for degree in (1, 2)
-    }
+    return {degree: values * alive for degree, values in spherical_harmonics(unit).items()}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,7 +100,7 @@ class ReducedConvolution(nn.Module):
         lift: tuple[int, int] | None = None,
     ) -> None:
         super().__init__()
-        self.irreps_in = as_irreps(irreps)
+        self.irreps_in = Irreps.of(irreps)
         mul = multiplicities(self.irreps_in)
         c0, c1, c2 = (mul.get(degree, 0) for degree in (0, 1, 2))
         l1, l2 = (c1, c2) if lift is None else lift
@@ -115,7 +112,7 @@ class ReducedConvolution(nn.Module):
         """Use compiled kernels where they can be used."""
         self._split = (c0, c1, c2, l1, l2, c1, c2)
         """Channels that keep their degree (0, 1, 2), are lifted (1, 2), are dropped (1, 2)."""
-        self.irreps_out = as_irreps(f"{c0 + c1 + c2}x0e+{c1 + l1}x1o+{c2 + l2}x2e")
+        self.irreps_out = Irreps.of(f"{c0 + c1 + c2}x0e+{c1 + l1}x1o+{c2 + l2}x2e")
         self.radial = nn.Sequential(
             nn.Linear(radial, hidden), nn.SiLU(), nn.Linear(hidden, sum(self._split))
         )
@@ -176,19 +173,19 @@ class SelfProduct(nn.Module):
 
     def __init__(self, irreps: Irreps | str) -> None:
         super().__init__()
-        self.irreps_in = as_irreps(irreps)
+        self.irreps_in = Irreps.of(irreps)
         self.channels = multiplicities(self.irreps_in)[2]
         c = self.channels
         common = f"{c}x0e+{c}x1o+{c}x2e"
         self.left = EquivariantLinear(irreps, common, bias=False)
         self.right = EquivariantLinear(irreps, common, bias=False)
-        self.common = as_irreps(common)
-        self.irreps_out = as_irreps(f"{3 * c}x0e+{4 * c}x1o+{4 * c}x2e")
+        self.common = Irreps.of(common)
+        self.irreps_out = Irreps.of(f"{3 * c}x0e+{4 * c}x1o+{4 * c}x2e")
         start = {0: 0, 1: 1, 2: 4}
         columns = []
         for l1, l2, l3 in SELF_PATHS:
             block = torch.zeros(9, 9, 2 * l3 + 1, dtype=torch.float64)
-            cg = wigner_3j(l1, l2, l3, dtype=torch.float64) * (2 * l3 + 1) ** 0.5
+            cg = coupling(l1, l2, l3) * (2 * l3 + 1) ** 0.5
             rows, cols = 2 * l1 + 1, 2 * l2 + 1
             block[start[l1] : start[l1] + rows, start[l2] : start[l2] + cols] = cg
             columns.append(block.reshape(81, -1))
@@ -238,7 +235,7 @@ class Block(nn.Module):
         lift: tuple[int, int] | None = None,
     ) -> None:
         super().__init__()
-        self.irreps_out = as_irreps(irreps_out)
+        self.irreps_out = Irreps.of(irreps_out)
         self.norm = EquivariantNorm(irreps)
         self.convolution = ReducedConvolution(irreps, radial, hidden, lift)
         self.gate = Gate(irreps_out)

@@ -9,19 +9,57 @@ Only natural parity (0e, 1o, 2e), each degree at most once and in this order, is
 
 from __future__ import annotations
 
-from typing import cast
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import torch
-from e3nn.o3 import Irreps
 from torch import Tensor, nn
 
 Steerable = dict[int, Tensor]
 """Degree l -> `(..., 2l+1, mul)`, ascending degrees."""
 
 
-def as_irreps(irreps: Irreps | str) -> Irreps:
-    """Irreps of a text; e3nn's own constructor is typed too widely to be used directly."""
-    return cast(Irreps, Irreps(irreps))
+@dataclass(frozen=True)
+class Irreps:
+    """The type of a feature: how many channels of each degree, written as e3nn does.
+
+    Attributes:
+        blocks: (channels, degree), ascending degrees.
+    """
+
+    blocks: tuple[tuple[int, int], ...]
+
+    @classmethod
+    def of(cls, irreps: Irreps | str) -> Irreps:
+        """Read `64x0e+32x1o+16x2e`.
+
+        Raises:
+            ValueError: no such text, or another parity, order or degree than 0e, 1o, 2e.
+        """
+        if isinstance(irreps, Irreps):
+            return irreps
+        blocks: list[tuple[int, int]] = []
+        for part in str(irreps).replace(" ", "").split("+"):
+            match = re.fullmatch(r"(?:(\d+)x)?(0e|1o|2e)", part)
+            degree = int(match[2][0]) if match else -1
+            if match is None or (blocks and degree <= blocks[-1][1]):
+                raise ValueError(
+                    f"irreps {irreps}: expected at most 0e, 1o, 2e, once each, in this order"
+                )
+            blocks.append((int(match[1] or 1), degree))
+        return cls(tuple(blocks))
+
+    def __str__(self) -> str:
+        return "+".join(f"{count}x{degree}{'eo'[degree % 2]}" for count, degree in self.blocks)
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        return iter(self.blocks)
+
+    @property
+    def dim(self) -> int:
+        """Components of all channels together."""
+        return sum(count * (2 * degree + 1) for count, degree in self.blocks)
 
 
 def multiplicities(irreps: Irreps | str) -> dict[int, int]:
@@ -30,14 +68,7 @@ def multiplicities(irreps: Irreps | str) -> dict[int, int]:
     Raises:
         ValueError: another parity, order or degree than 0e, 1o, 2e.
     """
-    found: dict[int, int] = {}
-    for mul, ir in as_irreps(irreps):
-        if ir.l > 2 or ir.p != (-1) ** ir.l or (found and ir.l <= max(found)):
-            raise ValueError(
-                f"irreps {irreps}: expected at most 0e, 1o, 2e, once each, in this order"
-            )
-        found[ir.l] = mul
-    return found
+    return {degree: count for count, degree in Irreps.of(irreps)}
 
 
 def unpack(features: Tensor, irreps: Irreps | str) -> Steerable:
@@ -73,7 +104,7 @@ class EquivariantLinear(nn.Module):
         self, irreps_in: Irreps | str, irreps_out: Irreps | str, bias: bool = True
     ) -> None:
         super().__init__()
-        self.irreps_in, self.irreps_out = as_irreps(irreps_in), as_irreps(irreps_out)
+        self.irreps_in, self.irreps_out = Irreps.of(irreps_in), Irreps.of(irreps_out)
         source, target = multiplicities(self.irreps_in), multiplicities(self.irreps_out)
         missing = [degree for degree in target if degree not in source]
         if missing:
@@ -105,7 +136,7 @@ class EquivariantNorm(nn.Module):
 
     def __init__(self, irreps: Irreps | str, eps: float = 1e-6) -> None:
         super().__init__()
-        self.irreps_in = self.irreps_out = as_irreps(irreps)
+        self.irreps_in = self.irreps_out = Irreps.of(irreps)
         self.eps = eps
         mul = multiplicities(self.irreps_in)
         self.scalar = nn.LayerNorm(mul[0])
@@ -139,11 +170,11 @@ class Gate(nn.Module):
 
     def __init__(self, irreps: Irreps | str) -> None:
         super().__init__()
-        self.irreps_out = as_irreps(irreps)
+        self.irreps_out = Irreps.of(irreps)
         mul = multiplicities(self.irreps_out)
         self._sizes = [*(count for degree, count in mul.items() if degree), mul[0]]
-        rest = [(count, (degree, (-1) ** degree)) for degree, count in mul.items() if degree]
-        self.irreps_in = cast(Irreps, Irreps([(sum(self._sizes), (0, 1)), *rest]))
+        rest = ((count, degree) for degree, count in mul.items() if degree)
+        self.irreps_in = Irreps(((sum(self._sizes), 0), *rest))
 
     def __repr__(self) -> str:
         return f"Gate({self.irreps_in} -> {self.irreps_out})"

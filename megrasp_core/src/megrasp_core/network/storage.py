@@ -24,13 +24,16 @@ DEFAULT_MODEL = "megrasp-small"
 
 
 def model_folders() -> list[Path]:
-    """Folders that may hold models: `$MEGRASP_MODELS`, `share/megrasp_models`, the checkout."""
+    """Folders that may hold models: `$MEGRASP_MODELS`, `share/megrasp_models` of colcon prefixes,
+    the checkout, the installed package.
+    """
     places = [Path(p) for p in os.environ.get("MEGRASP_MODELS", "").split(":") if p]
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(":"):
         if prefix:
             places.append(Path(prefix) / "share" / "megrasp_models")
-    checkout = Path(__file__).resolve().parents[4] / "models"
-    return [p for p in [*places, checkout] if p.is_dir()]
+    here = Path(__file__).resolve()
+    places += [here.parents[4] / "models", here.parents[1] / "share" / "megrasp_models"]
+    return [p for p in places if p.is_dir()]
 
 
 def list_models() -> list[str]:

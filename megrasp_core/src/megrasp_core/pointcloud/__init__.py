@@ -1,5 +1,6 @@
 """Point clouds: files, regions, voxel means, normals, support plane, scene nodes."""
 
+from .bins import BinSettings, FoundBin, find_bin
 from .box import OrientedBox
 from .cloud import Cloud
 from .depth_image import DepthImage, DepthImageSettings
@@ -26,7 +27,9 @@ from .views import View, by_sensor
 from .voxels import VoxelGroups, voxel_means
 
 __all__ = [
+    "BinSettings",
     "Cloud",
+    "FoundBin",
     "DepthImage",
     "DepthImageSettings",
     "OrientedBox",
@@ -45,6 +48,7 @@ __all__ = [
     "choose_nodes",
     "depth_points",
     "estimate_normals",
+    "find_bin",
     "grown_region",
     "level_floor",
     "neighbours",

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from megrasp_core.errors import InvalidRequestError
 
 from .knn import local_normals, neighbours
 
@@ -19,6 +21,21 @@ class Plane:
 
     normal: FloatArray
     offset: float
+
+    @classmethod
+    def of(cls, numbers: Sequence[float]) -> Plane:
+        """The plane nx x + ny y + nz z = d of four numbers; the normal may have any length.
+
+        Raises:
+            InvalidRequestError: they are not four finite numbers with a normal.
+        """
+        length = float(np.linalg.norm(numbers[:3])) if len(numbers) == 4 else 0.0
+        if not np.isfinite(numbers).all() or length < 1e-6:
+            raise InvalidRequestError(
+                f"floor {' '.join(map(str, numbers))} was given; expected a height, or the four "
+                "numbers nx ny nz d of a plane whose normal points up."
+            )
+        return cls(np.asarray(numbers[:3], dtype=np.float64) / length, numbers[3] / length)
 
     def height(self, points: FloatArray) -> FloatArray:
         """Return the signed distance (N,) in metres of points (N, 3), positive above."""

@@ -7,7 +7,7 @@ starts at the `SurfaceCloud`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +25,10 @@ from .voxels import VoxelGroups
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+
+
+FAR_UP = 10.0
+"""Points so far over the region (m) are still between it and the sensor."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +78,8 @@ class SurfaceCloud:
     points (M, 3); normals (M, 3) unit, turned to the sensor; on_plane (M,) true on the support
     plane; sensor (3,), the middle of several; gravity (3,) unit or None; crop (K, 3) every finite
     point in the grown region, for the check of what was seen; region as given or None. views:
-    the same points by the sensor that saw them. labels: (K,) of the crop, see `Cloud`, or None.
+    the points in the region and over it by the sensor that saw them. labels: (K,) of the crop, see
+    `Cloud`, or None.
     """
 
     points: FloatArray
@@ -140,11 +145,13 @@ def surface_cloud(
     origin = _sensor(cloud, sensor)
     down = _unit_gravity(gravity)
     if region is not None:
-        inside = grown_region(region, down, np.atleast_2d(origin).mean(axis=0), settings).contains(
-            cloud.points
-        )
+        middle = np.atleast_2d(origin).mean(axis=0)
+        inside = grown_region(region, down, middle, settings).contains(cloud.points)
         if not inside.any():
             raise _nothing_in_region(cloud, region)
+        # What stands higher than the crop still hides what is behind it.
+        column = replace(settings, region_headroom=settings.region_headroom + FAR_UP)
+        in_view = grown_region(region, down, middle, column).contains(cloud.points)
     else:
         inside = np.isfinite(cloud.points).all(axis=1)
         if not inside.any():
@@ -152,6 +159,7 @@ def surface_cloud(
                 f"none of the {len(cloud)} points is finite; expected a cloud in metres. Check "
                 "the depth image."
             )
+        in_view = inside
     crop = cloud.points[inside]
     groups = VoxelGroups(crop, settings.voxel)
     points = groups.mean(crop)
@@ -177,7 +185,7 @@ def surface_cloud(
         down,
         crop,
         region,
-        by_sensor(crop, seen_crop_from),
+        by_sensor(cloud.points[in_view], origin[in_view] if origin.ndim == 2 else origin),
         None if cloud.labels is None else cloud.labels[inside],
     )
 

@@ -55,6 +55,7 @@ class UnseenStructure:
         points: (R, 3) on floor and walls, in the frame of the cloud.
         seen_from: (R, 3) a sensor that looks at each of them.
         floor: the plane of the floor, None where there is nothing to say of it.
+        estimated: the floor is where the lowest points are; it may be lower.
         note: what was done and how to do it better, "" where nothing was.
     """
 
@@ -62,6 +63,7 @@ class UnseenStructure:
     seen_from: FloatArray
     floor: Plane | None
     note: str
+    estimated: bool = False
 
 
 def unseen_structure(
@@ -120,7 +122,13 @@ def unseen_structure(
             ", and grasps depend on it. Give the height of the floor, or the whole cloud and a "
             "region around the objects"
         )
-    return UnseenStructure(points[keep], sensors[looks.argmax(axis=0)[keep]], floor, note + ".")
+    return UnseenStructure(
+        points[keep],
+        sensors[looks.argmax(axis=0)[keep]],
+        floor,
+        note + ".",
+        estimated=source == "taken from the lowest points",
+    )
 
 
 def level_floor(height: float, gravity: FloatArray | None) -> Plane:

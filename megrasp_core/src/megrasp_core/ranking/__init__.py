@@ -3,16 +3,32 @@
 """
 
 from .calibration import FEATURES, Calibration, fit_calibration, logistic_features
-from .check import REASONS, CheckSettings, GraspCheck, check_grasps, grasp_tilt
+from .check import (
+    REASONS,
+    CheckSettings,
+    GraspCheck,
+    check_grasps,
+    grasp_tilt,
+    hits_on_the_way,
+)
 from .contact import Contacts, ContactSettings, ContactSurface, contact_surface, measure_contacts
 from .distance_field import DistanceField
 from .observation import ObservationSettings, PointState, SceneObservation
-from .probe import ClosingVolume, GripperProbe, ProbeSettings, closing_volume, gripper_probe
+from .probe import (
+    ClosingPath,
+    ClosingVolume,
+    GripperProbe,
+    ProbeSettings,
+    closing_volume,
+    gripper_probe,
+)
 from .rank import RankSettings, excluded, rejection_counts, score_grasps, suppress_duplicates
+from .sweep import SweepSettings, sweep_hits
 
 __all__ = [
     "Calibration",
     "CheckSettings",
+    "ClosingPath",
     "ClosingVolume",
     "ContactSettings",
     "ContactSurface",
@@ -27,6 +43,7 @@ __all__ = [
     "REASONS",
     "RankSettings",
     "SceneObservation",
+    "SweepSettings",
     "check_grasps",
     "closing_volume",
     "contact_surface",
@@ -34,9 +51,11 @@ __all__ = [
     "fit_calibration",
     "grasp_tilt",
     "gripper_probe",
+    "hits_on_the_way",
     "logistic_features",
     "measure_contacts",
     "rejection_counts",
     "score_grasps",
     "suppress_duplicates",
+    "sweep_hits",
 ]

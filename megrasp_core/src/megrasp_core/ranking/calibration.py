@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.optimize import minimize
 
 from megrasp_core.errors import InvalidRequestError
 
@@ -95,6 +94,9 @@ def fit_calibration(
     Raises:
         InvalidRequestError: only successes or only failures were given.
     """
+    # Whoever only ranks has no use for it, and it takes a quarter of a second.
+    from scipy.optimize import minimize
+
     y = np.asarray(success, dtype=np.float64)
     if y.min(initial=1.0) == y.max(initial=0.0):
         raise InvalidRequestError(

@@ -4,7 +4,7 @@ way there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,11 +22,26 @@ __all__ = [
     "angular_distance",
     "check_grasps",
     "grasp_tilt",
+    "hits_on_the_way",
 ]
 
-REASONS = ("workspace", "tilt", "collision", "unseen", "empty", "excluded", "duplicate", "surplus")
-"""Why a drawn grasp was not returned. `surplus`: it passed, but more were asked for than are
-returned, or it was not among those that went through the restarts."""
+REASONS = (
+    "workspace",
+    "tilt",
+    "collision",
+    "unseen",
+    "empty",
+    "sweep",
+    "object",
+    "excluded",
+    "score",
+    "duplicate",
+    "surplus",
+)
+"""Why a drawn grasp was not returned. `sweep`: the fingers would hit something while they close;
+`object`: it grasps another object than the one asked for; `score`: less than the least score;
+`surplus`: it passed, but more were asked for than are returned, or it was not among those that
+went through the restarts."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +107,11 @@ class GraspCheck:
         """Note a reason for the grasps of a mask (N,) that have none yet."""
         self.reason[mask & self.passed] = reason
 
+    def put(self, index: np.ndarray, other: GraspCheck, rows: np.ndarray) -> None:
+        """Take the outcomes `rows` of another check for the grasps `index`."""
+        for item in fields(self):
+            getattr(self, item.name)[index] = getattr(other, item.name)[rows]
+
 
 def check_grasps(
     observation: SceneObservation,
@@ -132,7 +152,7 @@ def check_grasps(
     approach_inside = np.zeros(n, dtype=np.int64)
     if world_from_gripper_approach is not None and n:
         way = np.asarray(world_from_gripper_approach, dtype=np.float64)[:, :3, 3] - poses[:, :3, 3]
-        approach_inside, hits = _along_the_way(observation, probe, poses, way, s)
+        approach_inside, hits = hits_on_the_way(observation, probe, poses, way, s)
         structure = structure + hits
     check = GraspCheck(
         reason=np.full(n, "", dtype="<U12"),
@@ -178,16 +198,18 @@ def angular_distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0))
 
 
-def _along_the_way(
+def hits_on_the_way(
     observation: SceneObservation,
     probe: GripperProbe,
     poses: np.ndarray,
     way: np.ndarray,
-    s: CheckSettings,
+    settings: CheckSettings | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Largest number of points inside seen bodies at one pose, and the number in structure, per
+    """What a gripper meets that goes from poses (N, 4, 4) straight along `way` (N, 3) (m): the
+    largest number of points inside seen bodies at one place, and the number in structure, per
     grasp (N,).
     """
+    s = settings or CheckSettings()
     base = posed(probe.approach_points, poses)
     shares = np.arange(1, s.approach_steps + 1, dtype=np.float32) / s.approach_steps
     moved = base[:, None] + (shares[:, None] * way[:, None, :].astype(np.float32))[:, :, None, :]

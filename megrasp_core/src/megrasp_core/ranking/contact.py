@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -27,6 +27,8 @@ class ContactSettings:
             engaged (m).
         misaligned: alignment of a contact whose normals stand at a right angle to X or are not
             seen.
+        least_tolerance: of the width, where its ends are sharp (m): pads give way, and clouds have
+            noise.
     """
 
     max_points: int = 40000
@@ -37,6 +39,7 @@ class ContactSettings:
     edge: float = 0.006
     full_engagement: float = 0.015
     misaligned: float = 0.4
+    least_tolerance: float = 0.003
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,7 @@ class Contacts:
             where empty.
         alignment: 0..1, how well the seen sides of the material face the fingers.
         quality: 0..1, product of alignment, engagement and centring; 0 where empty.
+        tolerance: the width is known to this (m); NaN where empty.
     """
 
     count: np.ndarray
@@ -71,6 +75,16 @@ class Contacts:
     engagement: np.ndarray
     alignment: np.ndarray
     quality: np.ndarray
+    tolerance: np.ndarray
+
+    def part(self, rows: np.ndarray) -> Contacts:
+        """Those of some grasps (n,)."""
+        return Contacts(**{item.name: getattr(self, item.name)[rows] for item in fields(self)})
+
+    def put(self, index: np.ndarray, other: Contacts) -> None:
+        """Take other ones for the grasps `index` (n,)."""
+        for item in fields(self):
+            getattr(self, item.name)[index] = getattr(other, item.name)
 
 
 def contact_surface(
@@ -142,6 +156,8 @@ def measure_contacts(
         nodes, index = _inside(surface.node_points, pose, volume.low, high, reach)
         normals = surface.node_normals[index] @ pose[:3, :3].astype(np.float32)
         out["width"][i] = width
+        core = np.percentile(points[:, 0], [5 * s.percentile, 100 - 5 * s.percentile])
+        out["tolerance"][i] = s.least_tolerance + (right - left - (core[1] - core[0])) / 2
         out["offset"][i] = (left + right) / 2 - volume.centre
         out["engagement"][i] = max(volume.tip - top, 0.0)
         out["alignment"][i] = _alignment(nodes[:, 0], normals, left, right, s)
@@ -149,7 +165,13 @@ def measure_contacts(
     return Contacts(count=count, **out)
 
 
-_EMPTY = {"width": np.nan, "offset": np.nan, "engagement": 0.0, "alignment": 0.0}
+_EMPTY = {
+    "width": np.nan,
+    "tolerance": np.nan,
+    "offset": np.nan,
+    "engagement": 0.0,
+    "alignment": 0.0,
+}
 
 
 def _inside(

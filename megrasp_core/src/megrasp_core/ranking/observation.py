@@ -152,6 +152,11 @@ class SceneObservation:
         offset = points - self._centre.astype(points.dtype)
         return (rotation @ offset.astype(np.float32, copy=False).T).T
 
+    @property
+    def half(self) -> np.ndarray:
+        """Half edges (3,) of the region in the order of `box_coordinates`; zeros without one."""
+        return self._half
+
     def contains(self, points: np.ndarray, above: float = np.inf) -> np.ndarray:
         """Whether points (P, 3) lie within the region's sides, over its bottom and less than
         `above` over its top.

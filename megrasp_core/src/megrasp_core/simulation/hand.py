@@ -17,7 +17,8 @@ from .idle import IdleParts, idle_parts
 if TYPE_CHECKING:
     from megrasp_core.grippers import Gripper
 
-Posture = Literal["open", "closed"]
+Posture = Literal["open", "closed"] | float
+"""By name, or as a share of the way from open to closed (`Gripper.stroke`)."""
 
 
 class Hand:
@@ -62,6 +63,7 @@ class Hand:
             addresses = np.array([joints[name] for name in posture], dtype=np.int64)
             self._postures[which] = addresses, np.array(list(posture.values()), dtype=np.float64)
             self._controls[which] = control
+        self._idle = idle.joints
         self._stroke = self._controls["closed"] - self._controls["open"]
         bodies = [
             b
@@ -76,16 +78,35 @@ class Hand:
         write_pose(data.qpos, self._mount, world_from_gripper)
         self.position[:] = data.qpos[self._mount[:3]]
         self.quaternion[:] = data.qpos[self._mount[3:]]
-        addresses, values = self._postures[posture]
+        addresses, values, control = self._posture(posture)
         data.qpos[addresses] = values
         data.qvel[self._dof] = 0.0
         data.qacc_warmstart[self._dof] = 0.0
         data.act[:] = 0.0
-        self._ctrl[:] = self._controls[posture]
+        self._ctrl[:] = control
+
+    def _posture(
+        self, posture: Posture
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+        """Addresses and values of the joints, and the control."""
+        if not isinstance(posture, str):
+            if 0.0 < posture < 1.0:
+                joints = self.gripper.posture_at(posture)
+                values = [q for name, q in joints.items() if name not in self._idle]
+                control = self._controls["open"] + posture * self._stroke
+                return self._postures["open"][0], np.array(values), control
+            posture = "open" if posture <= 0.0 else "closed"
+        return *self._postures[posture], self._controls[posture]
 
     def drive(self, share: float) -> None:
         """Command the fingers: 0 the open posture, 1 the closed one, linear between."""
         self._ctrl[:] = self._controls["open"] + share * self._stroke
+
+    def joints(self) -> dict[str, float]:
+        """Positions of the gripper's joints now, by name; locked ones are left out."""
+        addresses, _ = self._postures["open"]
+        names = [name for name in self.gripper.posture("open") if name not in self._idle]
+        return dict(zip(names, self._data.qpos[addresses].tolist(), strict=True))
 
     def pose(self) -> NDArray[np.float64]:
         """World-from-gripper (4, 4) where the gripper is now."""

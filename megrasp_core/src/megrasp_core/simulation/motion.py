@@ -63,10 +63,12 @@ def step_times(world: World, duration: float) -> NDArray[np.float64]:
     return timestep * np.arange(1, round(duration / timestep) + 1)
 
 
-def closing(world: World, duration: float, ramp: float) -> Motion:
-    """Close the fingers: the command goes to closed within `ramp` s and stays until `duration`."""
+def closing(world: World, duration: float, ramp: float, start: float = 0.0) -> Motion:
+    """Close the fingers from the share `start` of their way: the command goes to closed within
+    `ramp` s and stays until `duration`.
+    """
     times = step_times(world, duration)
-    return Motion(len(times), shares=np.minimum(1.0, times / ramp))
+    return Motion(len(times), shares=start + (1.0 - start) * np.minimum(1.0, times / ramp))
 
 
 def advance(world: World, motion: Motion, watch: Watch | None = None) -> bool:

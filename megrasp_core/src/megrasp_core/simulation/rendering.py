@@ -1,6 +1,6 @@
 """Depth images of a world by ray casting, on any machine, without OpenGL.
 
-Rays go through open3d's Embree scene, built from the same visual meshes and bin boxes as the
+Rays go through an Embree scene, built from the same visual meshes and bin boxes as the
 MuJoCo model: `mj_multiRay` gives the same distances within 2 micrometres but takes about ten times
 as long (0.6 s against 0.05 s CPU for 640 x 480 and 12 scans of 2000 faces).
 """

@@ -109,6 +109,7 @@ def judge(
     *,
     graspable: Collection[int] | None = None,
     approach: NDArray[np.float64] | None = None,
+    opening: float = 0.0,
     settings: TrialSettings | None = None,
     on_phase: OnPhase | None = None,
 ) -> Verdict:
@@ -116,6 +117,7 @@ def judge(
 
     world_from_gripper: pre-grasp (4, 4). approach: approach pose (4, 4), or None for no test of
         the way there.
+    opening: share of the way from open to closed at which the fingers start.
     graspable: objects that count; None means all that are present and no obstacles.
     on_phase: called at the beginning of `approach`, `close` and `lift`; may raise, which leaves
         the world as it is then.
@@ -126,19 +128,19 @@ def judge(
     tell = on_phase or _nobody
     before = world.save()
     tell("approach")
-    depth = float(start_depths(world, world_from_gripper[None])[0])
+    depth = float(start_depths(world, world_from_gripper[None], posture=opening)[0])
     if depth > settings.max_depth:
         return Verdict(False, Reason.START_COLLISION, depth=depth)
     if approach is not None:
         path = approach_path(approach, world_from_gripper, settings.approach_poses)
-        on_the_way = float(start_depths(world, path).max())
+        on_the_way = float(start_depths(world, path, posture=opening).max())
         if on_the_way > settings.max_depth:
             return Verdict(False, Reason.APPROACH_COLLISION, depth=on_the_way)
         depth = max(depth, on_the_way)
     goals = set(world.present) - world.obstacles
     if graspable is not None:
         goals &= set(graspable)
-    verdict = _attempt(world, world_from_gripper, goals, depth, settings, tell)
+    verdict = _attempt(world, world_from_gripper, goals, depth, opening, settings, tell)
     if verdict.reason is Reason.UNSTABLE:
         world.restore(before)
     return verdict
@@ -149,14 +151,15 @@ def _attempt(
     pose: NDArray[np.float64],
     goals: set[int],
     depth: float,
+    opening: float,
     settings: TrialSettings,
     tell: OnPhase,
 ) -> Verdict:
     tell("close")
     height = world.object_poses()[:, 2, 3]
     world.clear_warnings()
-    world.place_gripper(pose)
-    advance(world, closing(world, settings.close_time, settings.close_ramp))
+    world.place_gripper(pose, opening)
+    advance(world, closing(world, settings.close_time, settings.close_ramp, opening))
     touched, _ = world.touched()
     watch = ContactWatch(world, touched & goals)
     pull = _BinPull(world, settings.bin_weight)

@@ -50,16 +50,20 @@ class Assessor:
         tcp = world_from_tcp(poses, self._seen.nodes.centroid)
         return self._assess(tcp, poses, cheap=cheap, contacts=True)
 
-    def poses(self, tcp: np.ndarray, *, contacts: bool = True) -> Assessment:
+    def poses(self, tcp: np.ndarray, *, cheap: bool = False, contacts: bool = True) -> Assessment:
         """Of world_from_tcp poses.
 
         Args:
             tcp: (N, 4, 4).
+            cheap: the approach path is not tested, with the coarse points only.
             contacts: measure what lies between the fingers, the slowest part.
         """
+        return self._assess(tcp, self.drawn(tcp), cheap=cheap, contacts=contacts)
+
+    def drawn(self, tcp: np.ndarray) -> PoseBatch:
+        """World_from_tcp poses (N, 4, 4) as the model draws them: scene_from_tcp."""
         centroid = self._seen.nodes.centroid
-        poses = scene_from_tcp(tcp, centroid, self._model.dtype, self._model.device)
-        return self._assess(tcp, poses, cheap=False, contacts=contacts)
+        return scene_from_tcp(tcp, centroid, self._model.dtype, self._model.device)
 
     def _assess(
         self, tcp: np.ndarray, poses: PoseBatch, *, cheap: bool, contacts: bool

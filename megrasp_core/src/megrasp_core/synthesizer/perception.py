@@ -15,6 +15,7 @@ from megrasp_core.pointcloud import (
     unseen_structure,
 )
 
+from .objects import LabelledObjects
 from .request import SynthesisRequest
 from .scene_judge import SceneJudge
 from .settings import RankingSettings
@@ -31,12 +32,14 @@ class Perceived:
         judge: of poses in it.
         empty: nothing but the support surface is left.
         notes: what was taken for granted, for who reads the answer.
+        objects: where the cloud tells them apart.
     """
 
     nodes: SceneNodes
     judge: SceneJudge
     empty: bool
     notes: tuple[str, ...] = ()
+    objects: LabelledObjects | None = None
 
 
 def perceive(
@@ -49,6 +52,7 @@ def perceive(
 
     Raises:
         CloudError, EmptyRegionError: nothing of it is of use.
+        InvalidRequestError: the target is not in it, or the floor is not where it was said to be.
     """
 
     def seen(of: Cloud) -> SurfaceCloud:
@@ -72,9 +76,13 @@ def perceive(
         found = Cloud(structure.points, viewpoint=structure.seen_from)
         origin = cloud.viewpoint if request.sensor is None else request.sensor
         surface = seen(replace(cloud, viewpoint=origin).joined(found))
+    objects = LabelledObjects.of(surface, request.target)
     return Perceived(
         scene_nodes(surface, scene),
-        SceneJudge(surface, request, ranking),
-        only_support_left(surface.points, request.region, surface.gravity),
+        SceneJudge(surface, request, ranking, objects),
+        # Under a floor that is only thought to be there, a flat object may be all that is seen.
+        not structure.estimated
+        and only_support_left(surface.points, request.region, surface.gravity),
         (structure.note,) if structure.note else (),
+        objects,
     )

@@ -19,7 +19,7 @@ from megrasp_core.ranking import RankSettings, suppress_duplicates
 from .scene_judge import Assessment
 from .settings import PolishSettings
 
-__all__ = ["polish", "promises"]
+__all__ = ["polish", "promises", "with_rows"]
 
 T = TypeVar("T")
 
@@ -73,7 +73,7 @@ def polish(
         promise[better] = gained.max(axis=1)[better]
     polished = assess(tcp, True)
     rows = np.flatnonzero(promises(polished) > before[chosen])
-    return _with_rows(samples, chosen[rows], polished, rows)
+    return with_rows(samples, chosen[rows], polished, rows)
 
 
 def promises(assessment: Assessment) -> np.ndarray:
@@ -99,7 +99,7 @@ def _moves(
     return moves
 
 
-def _with_rows(target: T, index: np.ndarray, source: T, rows: np.ndarray) -> T:
+def with_rows(target: T, index: np.ndarray, source: T, rows: np.ndarray) -> T:
     """A copy of a dataclass of arrays in which the rows `index` are the `rows` of another."""
     values: dict[str, Any] = {}
     for item in dataclasses.fields(target):  # type: ignore[arg-type]
@@ -108,6 +108,6 @@ def _with_rows(target: T, index: np.ndarray, source: T, rows: np.ndarray) -> T:
             value = value.copy()
             value[index] = other[rows]
         elif dataclasses.is_dataclass(value):
-            value = _with_rows(value, index, other, rows)
+            value = with_rows(value, index, other, rows)
         values[item.name] = value
     return type(target)(**values)

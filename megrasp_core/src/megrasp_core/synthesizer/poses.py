@@ -15,6 +15,10 @@ from .request import SynthesisRequest
 __all__ = ["PoseSet", "pose_set", "scene_from_tcp", "world_from_tcp"]
 
 
+LIFT = 0.20
+"""Height of the retreat over the pre-grasp (m)."""
+
+
 @dataclass(frozen=True)
 class PoseSet:
     """N grasp poses (N, 4, 4) in the frame of the cloud, float64.
@@ -23,11 +27,14 @@ class PoseSet:
         tcp: TCP frame at the pre-grasp.
         gripper: gripper frame at the pre-grasp.
         approach: gripper frame at the stand-off.
+        retreat: gripper frame where to go with the object: up, or where that way is not free (see
+            `SceneJudge`), back to the stand-off.
     """
 
     tcp: np.ndarray
     gripper: np.ndarray
     approach: np.ndarray
+    retreat: np.ndarray
 
     def __len__(self) -> int:
         """Count the poses."""
@@ -37,7 +44,8 @@ class PoseSet:
         """The same poses, moved by `offset` (3,) (m)."""
         shift = np.zeros((4, 4))
         shift[:3, 3] = offset
-        return PoseSet(self.tcp + shift, self.gripper + shift, self.approach + shift)
+        poses = (self.tcp, self.gripper, self.approach, self.retreat)
+        return PoseSet(*(pose + shift for pose in poses))
 
 
 def world_from_tcp(scene_from_tcp: PoseBatch, centroid: np.ndarray) -> np.ndarray:
@@ -67,7 +75,10 @@ def pose_set(tcp: np.ndarray, gripper: Gripper, request: SynthesisRequest) -> Po
     if request.approach_direction == "gravity" and request.gravity is not None:
         back = np.broadcast_to(-np.asarray(request.gravity), back.shape)
     approach[:, :3, 3] += request.approach_distance * back
-    return PoseSet(tcp, world_from_gripper, approach)
+    retreat = approach.copy()
+    if request.gravity is not None:
+        retreat[:, :3, 3] = world_from_gripper[:, :3, 3] - LIFT * np.asarray(request.gravity)
+    return PoseSet(tcp, world_from_gripper, approach, retreat)
 
 
 def _orthonormal(rotation: np.ndarray) -> np.ndarray:

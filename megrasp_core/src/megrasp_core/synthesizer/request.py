@@ -13,7 +13,7 @@ import numpy as np
 from megrasp_core.errors import GravityError, InvalidRequestError
 from megrasp_core.pointcloud import OrientedBox, Plane, level_floor
 
-__all__ = ["MAX_DRAWN", "MAX_GRASPS", "Mode", "SynthesisRequest"]
+__all__ = ["LAYER", "MAX_DRAWN", "MAX_GRASPS", "Mode", "Prefer", "SynthesisRequest"]
 
 MAX_GRASPS = 1000
 """Most grasps that one call returns."""
@@ -22,6 +22,10 @@ MAX_DRAWN = 4096
 """Most poses that one call draws."""
 
 Mode = Literal["default", "fast"]
+Prefer = Literal["score", "high", "clear"]
+
+LAYER = 0.02
+"""Grasps whose heights differ by less (m) are equally high."""
 
 Vector = Sequence[float] | np.ndarray
 
@@ -50,6 +54,10 @@ class SynthesisRequest:
         exclude_radius: how near to them a grasp counts as the same (m).
         seed: of everything drawn; None: a random one, which the result states.
         keep_all: return the poses that fail the check as well, last, up to num_grasps in all.
+        target: only grasps of the object with this label of the cloud; the others are obstacles.
+        min_score: grasps below this score are not returned.
+        prefer: what comes first of the grasps that pass the check: the best `score`; `high`: the
+            highest against gravity, within `LAYER` the best score; `clear`: the most clearance.
 
     Raises:
         InvalidRequestError: an argument is outside its range.
@@ -72,6 +80,9 @@ class SynthesisRequest:
     exclude_radius: float = 0.02
     seed: int | None = None
     keep_all: bool = False
+    target: int | None = None
+    min_score: float = 0.0
+    prefer: Prefer = "score"
 
     @classmethod
     def of(cls, **options: Any) -> SynthesisRequest:
@@ -116,13 +127,26 @@ class SynthesisRequest:
                 f"approach_direction {self.approach_direction!r} was given; expected 'tool' or "
                 "'gravity'."
             )
+        if self.prefer not in ("score", "high", "clear"):
+            raise InvalidRequestError(
+                f"prefer {self.prefer!r} was given; expected 'score', 'high' or 'clear'."
+            )
+        if not 0 <= self.min_score <= 1:
+            raise InvalidRequestError(
+                f"min_score {self.min_score} was given; expected a probability, 0 to 1."
+            )
+        if self.target is not None:
+            advice = "Give a label of the mask."
+            self._set("target", _whole("target", self.target, 1, 2**31 - 1, advice))
         if self.gravity is None and (
-            self.approach_direction == "gravity" or self.max_tilt is not None
+            self.approach_direction == "gravity"
+            or self.max_tilt is not None
+            or self.prefer == "high"
         ):
             raise GravityError(
                 "the direction of gravity is not known; expected a vector that points down in the "
-                "frame of the cloud, because an approach along gravity or a largest tilt was "
-                "asked for. Give gravity."
+                "frame of the cloud, because an approach along gravity, a largest tilt or the "
+                "highest grasps first were asked for. Give gravity."
             )
         if not (np.isfinite(self.exclude_radius) and self.exclude_radius >= 0):
             raise InvalidRequestError(

@@ -21,8 +21,9 @@ class RankedGrasp:
 
     Attributes:
         world_from_tcp: pre-grasp, TCP frame.
-        world_from_gripper: pre-grasp, gripper frame, open posture.
+        world_from_gripper: pre-grasp, gripper frame, fingers at `share` of their way.
         world_from_gripper_approach: gripper frame at the stand-off.
+        world_from_gripper_retreat: gripper frame where to go with the object.
         score: 0..1, higher is better; with a calibrated model the probability of success.
         width: extent of what is between the fingers along X (m); NaN where undefined.
         clearance: distance of the open gripper to the nearest seen point or wall (m).
@@ -31,11 +32,17 @@ class RankedGrasp:
         reason: why it did not, "" where it did.
         confidence: the model's, before the check had its say; NaN without that head.
         hidden_share: share of the open gripper that lies where nothing was seen.
+        width_tolerance: the fingers stop within this of `width` when they hold what was seen (m);
+            NaN where undefined.
+        opening: between the fingers before they close (m); NaN for hands.
+        share: of the way from the open to the closed posture at which the fingers start.
+        object: label of what is grasped; None where the cloud has no labels or it is none.
     """
 
     world_from_tcp: np.ndarray
     world_from_gripper: np.ndarray
     world_from_gripper_approach: np.ndarray
+    world_from_gripper_retreat: np.ndarray
     score: float
     width: float
     clearance: float
@@ -44,11 +51,14 @@ class RankedGrasp:
     reason: str = ""
     confidence: float = float("nan")
     hidden_share: float = 0.0
+    width_tolerance: float = float("nan")
+    opening: float = float("nan")
+    share: float = 0.0
+    object: int | None = None
 
     def moved(self, offset: np.ndarray) -> RankedGrasp:
         """The same grasp, moved by `offset` (3,) (m)."""
-        names = ("world_from_tcp", "world_from_gripper", "world_from_gripper_approach")
-        poses = {name: np.array(getattr(self, name)) for name in names}
+        poses = {name: np.array(getattr(self, name)) for name in _POSES}
         for pose in poses.values():
             pose[:3, 3] += offset
         return replace(self, **poses)
@@ -56,11 +66,12 @@ class RankedGrasp:
     def to_json(self) -> dict[str, Any]:
         """Entry of `grasps` in grasps.json; undefined numbers become null."""
         content: dict[str, Any] = {
-            "world_from_tcp": _pose(self.world_from_tcp),
-            "world_from_gripper": _pose(self.world_from_gripper),
-            "world_from_gripper_approach": _pose(self.world_from_gripper_approach),
+            **{name: _pose(getattr(self, name)) for name in _POSES},
             "score": _number(self.score),
             "width": _number(self.width),
+            "width_tolerance": _number(self.width_tolerance),
+            "opening": _number(self.opening),
+            "object": self.object,
             "clearance": _number(self.clearance),
             "tilt": _number(self.tilt),
             "collision_free": self.collision_free,
@@ -88,6 +99,7 @@ class Synthesis:
         model: id.
         bin_empty: nothing but the support surface was seen, so that nothing was drawn.
         notes: what was taken for granted or looks wrong, in sentences.
+        hints: what most of the drawn poses failed for and what to do about it, in sentences.
         extra: further entries of grasps.json.
     """
 
@@ -101,6 +113,7 @@ class Synthesis:
     model: str
     bin_empty: bool = False
     notes: tuple[str, ...] = ()
+    hints: tuple[str, ...] = ()
     extra: dict[str, Any] = field(default_factory=dict)
 
     def to_json(self, frame: str = "world") -> dict[str, Any]:
@@ -121,6 +134,7 @@ class Synthesis:
             "timing": {key: round(value, 5) for key, value in self.timing.items()},
             **({"bin_empty": True} if self.bin_empty else {}),
             **({"notes": list(self.notes)} if self.notes else {}),
+            **({"hints": list(self.hints)} if self.hints else {}),
             **self.extra,
         }
 
@@ -129,6 +143,14 @@ class Synthesis:
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(self.to_json(frame), indent=1, allow_nan=False) + "\n")
+
+
+_POSES = (
+    "world_from_tcp",
+    "world_from_gripper",
+    "world_from_gripper_approach",
+    "world_from_gripper_retreat",
+)
 
 
 def _pose(matrix: np.ndarray) -> list[float]:

@@ -28,9 +28,11 @@ from megrasp_core.pointcloud import Cloud, SceneSettings
 from megrasp_core.ranking import rejection_counts
 
 from .assessor import Assessor, MountedGripper
-from .perception import perceive
+from .hints import hints
+from .perception import Perceived, perceive
 from .polish import polish
 from .poses import PoseSet, pose_set, world_from_tcp
+from .repairs import backed_off, turned_over
 from .request import SynthesisRequest
 from .result import RankedGrasp, Synthesis
 from .sampling import draw_starts
@@ -49,6 +51,9 @@ OnPoses = Callable[[PoseSet], None]
 """(unfinished poses, at most as many as are returned)."""
 
 Cancelled = Callable[[], bool]
+
+NEAR_NODE = 0.01
+"""A node is part of an object whose points are nearer than this (m)."""
 
 PHASES = ("perceive", "encode", "sample", "rank")
 
@@ -96,19 +101,27 @@ class SynthesisRun:
             field = self.model.encode_scene(seen.nodes)
         self.centroid = seen.nodes.centroid
         assessor = Assessor(self.model, self.mounted, seen, field)
+        allowed = self._at_target(seen, field)
         left_out: tuple[Assessment, np.ndarray] | None = None
         with self._phase("sample"):
-            poses = self._descend(field)
+            poses = self._descend(field, allowed)
             if self.keep < request.drawn:
                 first = assessor.samples(poses, cheap=True)
+                if self.settings.turns and self.mounted.probe.volume is not None:
+                    first, turned = turned_over(first, lambda tcp: assessor.poses(tcp, cheap=True))
+                    if len(turned):
+                        poses = assessor.drawn(first.poses.tcp)
                 best = self._best(first)
                 left_out = first, np.setdiff1d(np.arange(request.drawn), best)
                 poses = poses.part(torch.as_tensor(best, device=poses.device))
             poses = self._refine(field, poses)
         with self._phase("rank"):
-            final = self._polished(assessor, assessor.samples(poses))
+            final = backed_off(assessor.samples(poses), assessor.poses, ranking.sweep)
+            final = self._polished(assessor, final)
             grasps, rejected = rank_poses(final, self.mounted.probe, request, ranking, left_out)
-        return self._answer(grasps, rejected, start)
+            parts = [(final, np.arange(len(final))), *([left_out] if left_out else [])]
+            told = hints(parts, seen.judge.observation, self.mounted.probe, request)
+        return self._answer(grasps, rejected, start, told=told)
 
     def _answer(
         self,
@@ -117,8 +130,14 @@ class SynthesisRun:
         start: float,
         *,
         empty: bool = False,
+        told: tuple[str, ...] = (),
     ) -> Synthesis:
         self.timing["total"] = time.perf_counter() - start
+        if not grasps and rejected.get("score"):
+            self.notes += (
+                f"unsure: {rejected['score']} grasps pass the check, none of them with a score of "
+                f"{self.request.min_score:g}. Look again, from another side if possible.",
+            )
         LOGGER.debug(
             "synthesis: %d grasps, rejected %s, seconds %s", len(grasps), rejected, self.timing
         )
@@ -133,11 +152,26 @@ class SynthesisRun:
             model=self.model.model_id,
             bin_empty=empty,
             notes=self.notes,
+            hints=told,
         )
 
-    def _descend(self, field: SceneField) -> PoseBatch:
+    def _at_target(self, seen: Perceived, field: SceneField) -> tuple[Tensor, Tensor] | None:
+        """Masks of the fine and coarse nodes on the object that is asked for."""
+        if self.request.target is None or seen.objects is None:
+            return None
+        fine, coarse = (
+            torch.as_tensor(
+                seen.objects.at(nodes.cpu().double().numpy() + seen.nodes.centroid, NEAR_NODE)
+                == self.request.target,
+                device=nodes.device,
+            )
+            for nodes in field.points[:2]
+        )
+        return fine, coarse
+
+    def _descend(self, field: SceneField, allowed: tuple[Tensor, Tensor] | None) -> PoseBatch:
         starts = draw_starts(
-            self.model, field, self.mounted.code, self.request.drawn, self.generator
+            self.model, field, self.mounted.code, self.request.drawn, self.generator, allowed
         )
         steps = descend(self._denoiser(field), starts, self.sampler, self.schedule, self.generator)
         return last_step(steps, self._report, self.cancelled).poses

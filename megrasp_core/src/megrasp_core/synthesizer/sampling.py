@@ -22,6 +22,7 @@ def draw_starts(
     code: GripperCode,
     count: int,
     generator: torch.Generator,
+    allowed: tuple[Tensor, Tensor] | None = None,
 ) -> Tensor:
     """Points (count, 3) in centred scene coordinates (m); the sampler adds the noise of s = 1 to
     them.
@@ -32,9 +33,11 @@ def draw_starts(
         code: encoded gripper.
         count: how many.
         generator: on the device of the scene.
+        allowed: masks of the fine and of the coarse nodes at which grasps are wanted; None: all.
     """
     fine = scene.points[0]
-    free = torch.nonzero(~scene.plane).flatten()
+    wanted = ~scene.plane if allowed is None else allowed[0]
+    free = torch.nonzero(wanted).flatten()
     if len(free) == 0:
         free = torch.arange(len(fine), device=fine.device)
     uniform = fine[
@@ -42,7 +45,9 @@ def draw_starts(
     ]
     if "graspability" not in model.info.heads:
         return uniform
-    probability = model.graspability(scene, code).sigmoid()
-    index = torch.multinomial(probability + 1e-6, count, replacement=True, generator=generator)
+    probability = model.graspability(scene, code).sigmoid() + 1e-6
+    if allowed is not None and bool(allowed[1].any()):
+        probability = torch.where(allowed[1], probability, torch.zeros_like(probability))
+    index = torch.multinomial(probability, count, replacement=True, generator=generator)
     keep = torch.rand(count, generator=generator, device=fine.device) < UNIFORM_SHARE
     return torch.where(keep[:, None], uniform, scene.points[1][index])

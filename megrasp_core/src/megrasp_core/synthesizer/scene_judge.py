@@ -16,10 +16,13 @@ from megrasp_core.ranking import (
     check_grasps,
     contact_surface,
     excluded,
+    hits_on_the_way,
     measure_contacts,
     score_grasps,
+    sweep_hits,
 )
 
+from .objects import LabelledObjects
 from .poses import PoseSet
 from .request import SynthesisRequest
 from .settings import RankingSettings
@@ -37,6 +40,9 @@ class Assessment:
         contacts: None where the fingers do not close along X.
         confidence: (N,), None without that head.
         score: (N,).
+        share: (N,) of the stroke at which the fingers start, 0 fully open.
+        opening: (N,) between the pads before closing (m); NaN for hands.
+        object: (N,) label of what is grasped, 0: none; 0 as well where that was not asked.
     """
 
     poses: PoseSet
@@ -44,6 +50,9 @@ class Assessment:
     contacts: Contacts | None
     confidence: np.ndarray | None
     score: np.ndarray
+    share: np.ndarray
+    opening: np.ndarray
+    object: np.ndarray
 
     def __len__(self) -> int:
         """Number of poses."""
@@ -61,6 +70,7 @@ class SceneJudge:
         surface: SurfaceCloud,
         request: SynthesisRequest,
         settings: RankingSettings | None = None,
+        objects: LabelledObjects | None = None,
     ) -> None:
         """Draw the depth image and select the points that can be material.
 
@@ -68,8 +78,10 @@ class SceneJudge:
             surface: preprocessed cloud.
             request: region, walls, limits and excluded poses.
             settings: of the ranking.
+            objects: of the same surface, where it has labels.
         """
         self.settings = settings or RankingSettings()
+        self.objects = objects
         self.request = request
         plane = seen_plane(surface)
         self.observation = SceneObservation(
@@ -104,25 +116,113 @@ class SceneJudge:
             contacts: measure what lies between the fingers, the slowest part.
         """
         request, s = self.request, self.settings
+        probes = (probe, *probe.narrower)
         if cheap:
-            probe = replace(probe, points=probe.approach_points)
-        check = check_grasps(
-            self.observation,
-            probe,
-            poses.gripper,
-            None if cheap else poses.approach,
-            s.check,
-            max_tilt=request.max_tilt,
-        )
+            probes = tuple(replace(one, points=one.approach_points) for one in probes)
+        check, level = self._check(poses, probes, with_approach=not cheap)
         between = None
         if contacts and probe.volume is not None:
-            between = measure_contacts(self.material, probe.volume, poses.gripper, s.contact)
+            between = self._contacts(poses, probes, level)
+            filled = between.width > np.array([p.opening for p in probes])[level] - s.least_room
+            check.reject(filled & (level > 0), "collision")
             check.reject(between.count < s.contact.min_points, "empty")
+            if not cheap:
+                self._check_closing(poses, probes, level, between, check)
+        label = np.zeros(len(poses), dtype=np.int32)
+        if self.objects is not None and (request.target is not None or not cheap):
+            label = self.objects.grasped(poses.gripper, probe)
+        if request.target is not None:
+            check.reject(label != request.target, "object")
+        if contacts and not cheap:
+            self._check_retreat(poses, probes, level, check)
         failed = np.asarray(request.exclude)
         again = excluded(poses.tcp, failed, request.exclude_radius, probe.symmetry)
         check.reject(again, "excluded")
         score = score_grasps(check, between, confidence, s.rank)
-        return Assessment(poses, check, between, confidence, score)
+        if not cheap:
+            check.reject(score < request.min_score, "score")
+        share = np.array([one.share for one in probes])[level]
+        opening = np.array([one.opening for one in probes])[level]
+        return Assessment(poses, check, between, confidence, score, share, opening, label)
+
+    def _check(
+        self, poses: PoseSet, probes: tuple[GripperProbe, ...], *, with_approach: bool
+    ) -> tuple[GraspCheck, np.ndarray]:
+        """The check at the widest opening that is free, and which one that is (N,)."""
+        level = np.zeros(len(poses), dtype=np.int64)
+
+        def checked(probe: GripperProbe, rows: np.ndarray) -> GraspCheck:
+            return check_grasps(
+                self.observation,
+                probe,
+                poses.gripper[rows],
+                poses.approach[rows] if with_approach else None,
+                self.settings.check,
+                max_tilt=self.request.max_tilt,
+            )
+
+        check = checked(probes[0], np.arange(len(poses)))
+        for index, narrower in enumerate(probes[1:], start=1):
+            rows = np.flatnonzero(check.reason == "collision")
+            if not len(rows):
+                break
+            tried = checked(narrower, rows)
+            free = np.flatnonzero(tried.passed)
+            check.put(rows[free], tried, free)
+            level[rows[free]] = index
+        return check, level
+
+    def _contacts(
+        self, poses: PoseSet, probes: tuple[GripperProbe, ...], level: np.ndarray
+    ) -> Contacts:
+        """What lies between the fingers at the opening of each grasp."""
+
+        def measured(probe: GripperProbe, rows: np.ndarray) -> Contacts:
+            assert probe.volume is not None
+            return measure_contacts(
+                self.material, probe.volume, poses.gripper[rows], self.settings.contact
+            )
+
+        between = measured(probes[0], np.arange(len(poses)))
+        for index, probe in enumerate(probes[1:], start=1):
+            rows = np.flatnonzero(level == index)
+            if len(rows):
+                between.put(rows, measured(probe, rows))
+        return between
+
+    def _check_closing(
+        self,
+        poses: PoseSet,
+        probes: tuple[GripperProbe, ...],
+        level: np.ndarray,
+        between: Contacts,
+        check: GraspCheck,
+    ) -> None:
+        s = self.settings.sweep
+        for index, probe in enumerate(probes):
+            rows = np.flatnonzero((level == index) & check.passed)
+            found = between.part(rows)
+            hits = sweep_hits(self.observation, probe, poses.gripper[rows], found, s)
+            check.reason[rows[hits]] = "sweep"
+
+    def _check_retreat(
+        self,
+        poses: PoseSet,
+        probes: tuple[GripperProbe, ...],
+        level: np.ndarray,
+        check: GraspCheck,
+    ) -> None:
+        """Retreat along the approach, which is free, where the way up is not."""
+        s = self.settings.check
+        for index, probe in enumerate(probes):
+            rows = np.flatnonzero((level == index) & check.passed)
+            if not len(rows):
+                continue
+            start = poses.gripper[rows]
+            way = poses.retreat[rows, :3, 3] - start[:, :3, 3]
+            inside, structure = hits_on_the_way(self.observation, probe, start, way, s)
+            blocked = rows[(inside > s.max_approach_inside) | (structure > s.max_structure)]
+            poses.retreat[blocked] = poses.approach[blocked]
 
     def _material(self, surface: SurfaceCloud, plane: Plane | None) -> ContactSurface:
         """Seen points off the support plane and, in a bin, off its floor and walls."""

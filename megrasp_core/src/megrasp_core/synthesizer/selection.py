@@ -6,7 +6,7 @@ import numpy as np
 
 from megrasp_core.ranking import GripperProbe, rejection_counts, suppress_duplicates
 
-from .request import SynthesisRequest
+from .request import LAYER, SynthesisRequest
 from .result import RankedGrasp
 from .scene_judge import Assessment
 from .settings import RankingSettings
@@ -41,8 +41,7 @@ def rank_poses(
         assessed.poses.tcp[passing], score[passing], probe.symmetry, settings.rank
     )
     check.reason[passing[repeats]] = "duplicate"
-    good = passing[~repeats]
-    good = good[np.argsort(-score[good], kind="stable")]
+    good = _in_order(assessed, passing[~repeats], request)
     check.reason[good[request.num_grasps :]] = "surplus"
     grasps = [_grasp(assessed, i) for i in good[: request.num_grasps]]
     failed = [(assessed, np.flatnonzero(check.reason != ""))]
@@ -57,6 +56,18 @@ def rank_poses(
             room = request.num_grasps - len(grasps)
             grasps += [_grasp(source, i) for i in _better_first(source, index)[:room]]
     return grasps, rejection_counts(reasons)
+
+
+def _in_order(assessed: Assessment, rows: np.ndarray, request: SynthesisRequest) -> np.ndarray:
+    """Rows in the order that the request prefers."""
+    score = assessed.score[rows]
+    if request.prefer == "high":
+        height = assessed.poses.tcp[rows, :3, 3] @ -np.asarray(request.gravity)
+        layer = np.floor((height.max(initial=0.0) - height) / LAYER)
+        return rows[np.lexsort((-score, layer))]
+    if request.prefer == "clear":
+        return rows[np.lexsort((-score, -assessed.check.clearance[rows]))]
+    return rows[np.argsort(-score, kind="stable")]
 
 
 def _better_first(assessed: Assessment, index: np.ndarray) -> np.ndarray:
@@ -75,6 +86,7 @@ def _grasp(assessed: Assessment, i: int) -> RankedGrasp:
         world_from_tcp=poses.tcp[i],
         world_from_gripper=poses.gripper[i],
         world_from_gripper_approach=poses.approach[i],
+        world_from_gripper_retreat=poses.retreat[i],
         score=float(assessed.score[i]),
         width=float("nan") if contacts is None else float(contacts.width[i]),
         clearance=float(check.clearance[i]),
@@ -83,4 +95,8 @@ def _grasp(assessed: Assessment, i: int) -> RankedGrasp:
         reason=reason,
         confidence=float("nan") if confidence is None else float(confidence[i]),
         hidden_share=float(check.hidden_share[i]),
+        width_tolerance=float("nan") if contacts is None else float(contacts.tolerance[i]),
+        opening=float(assessed.opening[i]),
+        share=float(assessed.share[i]),
+        object=int(assessed.object[i]) or None,
     )

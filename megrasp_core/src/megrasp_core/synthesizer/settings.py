@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 from megrasp_core.diffusion import SamplerSettings
 from megrasp_core.errors import InvalidRequestError
@@ -13,9 +15,14 @@ from megrasp_core.ranking import (
     ObservationSettings,
     ProbeSettings,
     RankSettings,
+    SweepSettings,
 )
 
-__all__ = ["PolishSettings", "RankingSettings", "SynthesizerSettings"]
+__all__ = ["PolishSettings", "RankingSettings", "Stage", "SynthesizerSettings"]
+
+
+Stage = Literal["openings", "sweep", "turns", "polish"]
+"""What `SynthesizerSettings.without` can leave out."""
 
 
 @dataclass(frozen=True)
@@ -27,12 +34,17 @@ class RankingSettings:
         check: when a grasp is refused.
         contact: what lies between the fingers.
         rank: score and near duplicates.
+        sweep: the way of the fingers.
+        least_room: a gripper that starts less than fully open is opened so much wider than what is
+            to come between its fingers (m).
     """
 
     observation: ObservationSettings = field(default_factory=ObservationSettings)
     check: CheckSettings = field(default_factory=CheckSettings)
     contact: ContactSettings = field(default_factory=ContactSettings)
     rank: RankSettings = field(default_factory=RankSettings)
+    sweep: SweepSettings = field(default_factory=SweepSettings)
+    least_room: float = 0.012
 
 
 @dataclass(frozen=True)
@@ -70,6 +82,7 @@ class SynthesizerSettings:
     Attributes:
         sampler: denoiser evaluations and restarts; None: as the model says.
         polish: local search about the best samples in mode `default`.
+        turns: grasps from below or in collision from the side are tried from the other side.
         refined: poses that go through the restarts in mode `default` on a CPU; on a GPU all do.
         ranking: check, contacts, score.
         probe: how densely the gripper is sampled for the check.
@@ -79,8 +92,23 @@ class SynthesizerSettings:
 
     sampler: SamplerSettings | None = None
     polish: PolishSettings = field(default_factory=PolishSettings)
+    turns: bool = True
     refined: int = 40
     ranking: RankingSettings = field(default_factory=RankingSettings)
     probe: ProbeSettings = field(default_factory=ProbeSettings)
     scene: SceneSettings | None = None
     gripper_seed: int = 0
+
+    def without(self, stages: Collection[Stage]) -> SynthesizerSettings:
+        """The same without some stages, to measure what each of them gains."""
+        changed = self
+        if "openings" in stages:
+            changed = replace(changed, probe=replace(changed.probe, narrower=()))
+        if "sweep" in stages:
+            sweep = replace(changed.ranking.sweep, steps=0)
+            changed = replace(changed, ranking=replace(changed.ranking, sweep=sweep))
+        if "turns" in stages:
+            changed = replace(changed, turns=False)
+        if "polish" in stages:
+            changed = replace(changed, polish=replace(changed.polish, candidates=0))
+        return changed

@@ -11,17 +11,9 @@ from megrasp_core.cli.common import emit, say
 from megrasp_core.errors import InvalidRequestError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from megrasp_core.grippers import Gripper
 
 __all__ = ["check", "listed", "render", "show"]
-
-SYMMETRY_WARNING = 0.003
-"""Residual of the stated symmetry over which `check` warns (m)."""
-
-SYMMETRY_POINTS = 4096
-"""Points of the surface that is turned: their spacing bounds what can be told apart."""
 
 
 def listed(out: Path | None = None) -> int:
@@ -83,29 +75,18 @@ def check(
         points: surface points of each posture that are compared.
         out: JSON with the facts and findings.
     """
+    from megrasp_core.gripper_tools.check import find_mistakes
     from megrasp_core.gripper_tools.fidelity import fidelity, text_table
     from megrasp_core.grippers import load_gripper
-    from megrasp_core.ranking import gripper_probe
 
     if points < 1:
         raise InvalidRequestError(f"--points is {points}; expected at least 1.")
     gripper = load_gripper(path)
     other = None if against is None else load_gripper(against)
-    findings: list[str] = []
-    warnings: list[str] = []
     report = _facts(gripper)
-    residual = _symmetry_residual(gripper)
-    report["symmetry_residual_p95"] = residual
-    if residual > SYMMETRY_WARNING:
-        # Real grippers are not exactly symmetric: nothing to fail for.
-        warnings.append(
-            f"after a turn by 1/{gripper.description.symmetry} the open surface differs by "
-            f"{1000 * residual:.1f} mm (p95); expected at most {1000 * SYMMETRY_WARNING:.0f} mm"
-        )
-    if gripper_probe(gripper).volume is None:
-        findings.append(
-            "no finger surfaces face each other along X and close; is X the closing axis?"
-        )
+    found = find_mistakes(gripper)
+    findings, warnings = list(found.errors), list(found.warnings)
+    report["measures"] = found.measures
     result = None if other is None else fidelity(gripper, other, points)
     if result is not None:
         report["against"] = result.to_dict()
@@ -155,24 +136,3 @@ def _facts(gripper: Gripper) -> dict[str, Any]:
         "closed_joints": gripper.closed_joints,
         "actuators": int(gripper.model.nu),
     }
-
-
-def _symmetry_residual(gripper: Gripper) -> float:
-    """95th percentile of the distance from the turned open surface to the open surface (m)."""
-    import numpy as np
-
-    n = gripper.description.symmetry
-    if n < 2:
-        return 0.0
-    angle = 2 * np.pi / n
-    turn = np.array(
-        [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
-    )
-    points = gripper.clouds(SYMMETRY_POINTS).open_points - gripper.tcp
-    return float(np.percentile(_distances(points @ turn.T, points), 95))
-
-
-def _distances(points: np.ndarray, to: np.ndarray) -> np.ndarray:
-    from scipy.spatial import KDTree
-
-    return KDTree(to).query(points)[0]

@@ -17,6 +17,7 @@ from megrasp_core.errors import InvalidRequestError
 if TYPE_CHECKING:
     from megrasp_core.gripper_tools.wizard.analyse import Overrides
     from megrasp_core.gripper_tools.wizard.findings import Finding
+    from megrasp_core.gripper_tools.wizard.score import Score
     from megrasp_core.gripper_tools.wizard.wizard import NewGripper
 
 __all__ = ["new", "score_wizard"]
@@ -24,6 +25,10 @@ __all__ = ["new", "score_wizard"]
 Vector = Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")]
 Values = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")]
 Folders = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=FOLDER ...")]
+Links = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="LINK")]
+Arguments = Annotated[
+    tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME:=VALUE")
+]
 
 VECTORS = ("approach", "closing", "tcp")
 POSTURES = ("open", "closed")
@@ -44,11 +49,13 @@ def new(
     root: str | None = None,
     scale: float | None = None,
     package: Folders = (),
+    without: Links = (),
+    xacro_arg: Arguments = (),
     licence: str | None = None,
     source: str | None = None,
     yes: Flag = False,
 ) -> int:
-    """Make a gripper.yaml, and a picture to check it by, from a URDF or MJCF.
+    """Make a gripper.yaml, and a picture to check it by, from a URDF, xacro or MJCF.
 
     Moves the joints to find the fingers, the approach and closing axes, the TCP, the open and the
     closed posture; says how sure it is of each, and asks on a terminal about what it cannot tell.
@@ -57,7 +64,7 @@ def new(
     Try: megrasp gripper new my_gripper.urdf --out grippers/my_gripper
 
     Args:
-        model: URDF or MJCF (expand xacro files first).
+        model: URDF, xacro or MJCF.
         out: new folder: gripper.yaml, model.xml, meshes/, picture.png, report.json.
         name: registered name; by default that of the folder.
         display_name: name for people.
@@ -71,11 +78,13 @@ def new(
         root: link to cut the gripper out at, of a model that holds more.
         scale: metres in one unit of the model's lengths, such as 0.001.
         package: folders of ROS packages that meshes are named by.
+        without: a link whose shapes are no part of the gripper, such as a safety hull; repeatable.
+        xacro_arg: an argument of a xacro file; repeatable.
         licence: licence of the model.
         source: where the model comes from.
         yes: never ask; take what is found.
     """
-    from megrasp_core.gripper_tools.wizard.prepare import SourceOptions
+    from megrasp_core.gripper_tools.wizard.source import SourceOptions
     from megrasp_core.gripper_tools.wizard.wizard import ModelRequest, new_gripper
 
     packages = {key: Path(value) for key, value in _pairs(package, "--package").items()}
@@ -83,7 +92,7 @@ def new(
     request = ModelRequest(
         model=model,
         out=out,
-        source=SourceOptions(packages, scale, root),
+        source=SourceOptions(packages, scale, root, without, _arguments(xacro_arg)),
         overrides=_overrides(kind, approach, closing, tcp, tip_depth, open, closed),
         name=name,
         display_name=display_name,
@@ -101,6 +110,8 @@ def new(
 def score_wizard(
     names: tyro.conf.Positional[tuple[str, ...]] = (),
     folder: Path | None = None,
+    jaws: int | None = None,
+    seed: int = 1,
     out: Path | None = None,
     keep: Path | None = None,
 ) -> int:
@@ -108,14 +119,16 @@ def score_wizard(
 
     By default the real ones of the assets. Right are closing and approach axis within 10 degrees
     for jaws and 25 for hands, the TCP within 1 cm and 3 cm. Exit code 1 where less than 11 of 13
-    are right.
+    are right, of drawn jaws less than 38 of 40.
 
-    Try: megrasp gripper score-wizard --out docs/results/gripper_wizard.json
+    Try: megrasp gripper score-wizard --jaws 40 --out jaws.json
 
     Args:
         names: grippers; all of the folder by default.
         folder: holds facts.json and models, or folders with a gripper.yaml that are taken as
             truth; by default the folder grippers of MEGRASP_ASSETS.
+        jaws: draw so many single, angular, vise and limitless jaws instead.
+        seed: of the drawn jaws.
         out: JSON with a row per gripper.
         keep: folder to keep the made grippers and their pictures in.
     """
@@ -123,9 +136,16 @@ def score_wizard(
         FACTS_FILE,
         score_assets,
         score_descriptions,
-        table,
+        score_plain_jaws,
     )
 
+    if jaws is not None:
+        if jaws < 1 or names or folder is not None:
+            raise InvalidRequestError(
+                f"--jaws {jaws} draws its own grippers; expected at least 1, and neither names "
+                "nor --folder"
+            )
+        return _show_score(score_plain_jaws(jaws, seed, keep, say), out)
     assets = os.environ.get("MEGRASP_ASSETS")
     chosen = folder or (Path(assets) / "grippers" if assets else None)
     if chosen is None or not chosen.is_dir():
@@ -134,7 +154,12 @@ def score_wizard(
             "a folder: set MEGRASP_ASSETS or --folder"
         )
     run = score_assets if (chosen / FACTS_FILE).is_file() else score_descriptions
-    score = run(chosen, names, keep, say)
+    return _show_score(run(chosen, names, keep, say), out)
+
+
+def _show_score(score: Score, out: Path | None) -> int:
+    from megrasp_core.gripper_tools.wizard.score import table
+
     for line in table(score):
         say(line)
     if out is not None:
@@ -188,6 +213,16 @@ def _pairs(items: tuple[str, ...], option: str) -> dict[str, str]:
         if not (key and equals and value):
             raise InvalidRequestError(f"{option} got '{item}'; expected name=value")
         out[key] = value
+    return out
+
+
+def _arguments(items: tuple[str, ...]) -> dict[str, str]:
+    out = {}
+    for item in items:
+        name, sign, value = item.partition(":=")
+        if not (name and sign):
+            raise InvalidRequestError(f"--xacro-arg got '{item}'; expected name:=value")
+        out[name] = value
     return out
 
 

@@ -2,7 +2,7 @@
 
 from .analyse import Analysis, Overrides
 from .findings import Finding
-from .prepare import SourceOptions
+from .source import SourceOptions
 from .wizard import ModelRequest, NewGripper, new_gripper
 
 __all__ = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -14,15 +15,21 @@ from .axes import Axes, find_axes
 from .fingers import Finger, find_fingers
 from .hands import oppose_hand
 from .jaws import divide_jaws, oppose_jaws
+from .mechanism import Mechanism
 from .motion import DriveMotion
 from .opposition import Opposition
 from .pads import Pad
 from .prepare import Prepared
 from .single import oppose_single
 from .tcp import PadFinder, find_tcp
+from .window import closing_window, looking_from
 
 HAND_FINGERS = 4
 """From so many fingers on, one of which turns its plane, it is a hand, however each is bent."""
+
+SAME = 1e-6
+PROBE = 0.05
+"""Share of a drive's range by which it is moved to see which way the fingers close."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +59,9 @@ class Overrides:
 class Analysis:
     """What a description needs, in the model frame.
 
-    `pads`: of the open and the closed posture, None for hands.
+    `pads`: of the open and the closed posture, None for hands. `limited`: whether the gripper
+    opens farther than to the open posture, but its pads look past each other there. `tcp_rule`:
+    how the TCP was found where the first rule gave one outside the finger groups.
     """
 
     fingers: tuple[Finger, ...]
@@ -61,6 +70,8 @@ class Analysis:
     tcp: NDArray[np.float64]
     pads: tuple[Pad | None, Pad | None]
     kind: str
+    limited: bool = False
+    tcp_rule: str | None = None
 
     @property
     def hand(self) -> bool:
@@ -70,8 +81,8 @@ class Analysis:
 
 def analyse(prepared: Prepared, overrides: Overrides) -> Analysis:
     """Analyse a prepared model. Raises DescriptionError where nothing opposes anything."""
-    mechanism, motion = prepared.mechanism, prepared.motion
-    fingers = find_fingers(mechanism, motion)
+    mechanism = prepared.mechanism
+    fingers = find_fingers(mechanism, prepared.motion)
     if not fingers:
         raise DescriptionError(
             "no joint moves a link with a shape; expected fingers. Name the gripper's link if the "
@@ -79,29 +90,86 @@ def analyse(prepared: Prepared, overrides: Overrides) -> Analysis:
         )
     hand = _is_hand(fingers) if overrides.kind is None else overrides.kind == "hand"
     kind = overrides.kind or _kind(fingers, hand)
-    opposition = _opposition(prepared, fingers, hand, overrides)
-    axes = find_axes(mechanism, motion, opposition, hand, overrides.closing, overrides.approach)
-    if float(axes.closing @ opposition.axis) < 0.0:
-        # The first group is that on -X.
-        opposition = replace(
-            opposition,
-            groups=(opposition.groups[1], opposition.groups[0]),
-            fixed=(opposition.fixed[1], opposition.fixed[0]),
-            axis=-opposition.axis,
+    motion = given_window(mechanism, prepared.motion, fingers, overrides)
+    if not hand and len(fingers) > 1 and not (overrides.open and overrides.closed):
+        motion = closing_window(mechanism, motion, fingers)
+    opposition = _opposition(mechanism, motion, fingers, hand, overrides)
+
+    def axes_of(opposition: Opposition) -> Axes:
+        return find_axes(
+            mechanism, motion, opposition, hand, overrides.closing, overrides.approach
         )
-    pads: tuple[Pad | None, Pad | None] = (None, None)
-    if not hand:
+
+    axes = axes_of(opposition)
+    opposition = _first_group_on_minus_x(opposition, axes)
+    if hand:
         finder = PadFinder(mechanism, motion, opposition, axes)
-        opened = finder.pad(opposition.open)
-        if not overrides.closed:
-            closed, contact = finder.closed(opened)
-            opposition = replace(opposition, closed=closed, contact=contact)
-        length = None if opened is None else opened.length
-        pads = opened, finder.pad(opposition.closed, length)
-    tcp = find_tcp(motion, opposition, axes, pads, overrides.tip_depth)
-    if overrides.tcp is not None:
-        tcp = overrides.tcp
-    return Analysis(fingers, opposition, axes, tcp, pads, kind)
+        tcp = find_tcp(finder, (None, None), overrides.tip_depth)
+        return _analysis(fingers, opposition, axes, tcp, (None, None), kind, False, overrides)
+    limited = False
+    if not overrides.open and len(fingers) == 1:
+        # Where a jaw that opens far begins it meets other parts of the palm.
+        start = looking_from(motion, fingers, opposition.open, opposition.closed, axes.closing)
+        limited = not np.array_equal(start, opposition.open)
+        opposition = replace(opposition, open=start)
+        axes = axes_of(opposition)
+    opposition = _met(mechanism, motion, opposition, axes, overrides)
+    if not overrides.open:
+        start = looking_from(motion, fingers, opposition.open, opposition.closed, axes.closing)
+        if not np.array_equal(start, opposition.open):
+            limited = True
+            opposition = replace(opposition, open=start)
+            if len(fingers) > 1:
+                opposition = divide_jaws(mechanism, motion, fingers, start, opposition.closed)
+            axes = axes_of(opposition)
+            opposition = _first_group_on_minus_x(opposition, axes)
+            opposition = _met(mechanism, motion, opposition, axes, overrides)
+    finder = PadFinder(mechanism, motion, opposition, axes)
+    opened = finder.pad(opposition.open)
+    length = None if opened is None else opened.length
+    pads = opened, finder.pad(opposition.closed, length)
+    tcp = find_tcp(finder, pads, overrides.tip_depth)
+    return _analysis(fingers, opposition, axes, tcp, pads, kind, limited, overrides)
+
+
+def _analysis(
+    fingers: tuple[Finger, ...],
+    opposition: Opposition,
+    axes: Axes,
+    tcp: NDArray[np.float64],
+    pads: tuple[Pad | None, Pad | None],
+    kind: str,
+    limited: bool,
+    overrides: Overrides,
+) -> Analysis:
+    point = tcp if overrides.tcp is None else overrides.tcp
+    return Analysis(fingers, opposition, axes, point, pads, kind, limited)
+
+
+def _first_group_on_minus_x(opposition: Opposition, axes: Axes) -> Opposition:
+    if float(axes.closing @ opposition.axis) >= 0.0:
+        return opposition
+    return replace(
+        opposition,
+        groups=(opposition.groups[1], opposition.groups[0]),
+        fixed=(opposition.fixed[1], opposition.fixed[0]),
+        axis=-opposition.axis,
+    )
+
+
+def _met(
+    mechanism: Mechanism,
+    motion: DriveMotion,
+    opposition: Opposition,
+    axes: Axes,
+    overrides: Overrides,
+) -> Opposition:
+    """Return the opposition closed until the pads meet, unless the closed posture is given."""
+    if overrides.closed:
+        return opposition
+    finder = PadFinder(mechanism, motion, opposition, axes)
+    closed, contact = finder.closed(finder.pad(opposition.open))
+    return replace(opposition, closed=closed, contact=contact)
 
 
 def _is_hand(fingers: tuple[Finger, ...]) -> bool:
@@ -119,15 +187,20 @@ def _kind(fingers: tuple[Finger, ...], hand: bool) -> str:
 
 
 def _opposition(
-    prepared: Prepared, fingers: tuple[Finger, ...], hand: bool, overrides: Overrides
+    mechanism: Mechanism,
+    motion: DriveMotion,
+    fingers: tuple[Finger, ...],
+    hand: bool,
+    overrides: Overrides,
 ) -> Opposition:
-    mechanism, motion = prepared.mechanism, prepared.motion
-    if len(fingers) == 1:
-        found = oppose_single(mechanism, motion, fingers[0])
-    elif overrides.open and overrides.closed:
+    ends = None
+    if overrides.open and overrides.closed:
         start = given_lengths(motion, motion.rest(), overrides.open, "--open")
-        end = given_lengths(motion, start, overrides.closed, "--closed")
-        found = divide_jaws(mechanism, motion, fingers, start, end)
+        ends = start, given_lengths(motion, start, overrides.closed, "--closed")
+    if len(fingers) == 1:
+        found = oppose_single(mechanism, motion, fingers[0], ends)
+    elif ends is not None:
+        found = divide_jaws(mechanism, motion, fingers, *ends)
     elif hand:
         found = oppose_hand(mechanism, motion, fingers, mechanism.branches[0].reach)
     else:
@@ -138,6 +211,74 @@ def _opposition(
         closed = given_lengths(motion, found.closed, overrides.closed, "--closed")
         found = replace(found, closed=closed)
     return found
+
+
+def given_window(
+    mechanism: Mechanism,
+    motion: DriveMotion,
+    fingers: tuple[Finger, ...],
+    overrides: Overrides,
+) -> DriveMotion:
+    """Return the motion limited by the postures that are given: nothing is looked for beyond them.
+
+    Where one of the two is given, the range is kept on the side to which the fingertips come
+    nearer to each other (from the open posture) or move apart (from the closed one).
+
+    Raises:
+        DescriptionError: a name or value is wrong, or both postures are the same.
+    """
+    opened, closed = overrides.open, overrides.closed
+    base = motion.rest()
+    start = given_lengths(motion, base, opened, "--open")
+    end = given_lengths(motion, start if opened else base, closed, "--closed")
+    low, high = motion.low, motion.high
+    if opened and closed:
+        if np.abs(end - start).max(initial=0.0) < SAME:
+            raise DescriptionError(
+                "--open and --closed are the same posture; expected two between which the "
+                "fingers close"
+            )
+        named = _named(motion, {**opened, **closed})
+        low[named] = np.minimum(start, end)[named]
+        high[named] = np.maximum(start, end)[named]
+    elif opened or closed:
+        known = start if opened else end
+        for drive in _named(motion, opened or closed):
+            step = PROBE * (motion.high[drive] - motion.low[drive])
+            up, down = known.copy(), known.copy()
+            up[drive] = min(known[drive] + step, motion.high[drive])
+            down[drive] = max(known[drive] - step, motion.low[drive])
+            nearer = tips_apart(mechanism, motion, fingers, up) < tips_apart(
+                mechanism, motion, fingers, down
+            )
+            if nearer == bool(opened):
+                low[drive] = known[drive]
+            else:
+                high[drive] = known[drive]
+    else:
+        return motion
+    return motion.within(low, high)
+
+
+def tips_apart(
+    mechanism: Mechanism,
+    motion: DriveMotion,
+    fingers: tuple[Finger, ...],
+    lengths: NDArray[np.float64],
+) -> float:
+    """Return the mean distance (m) between fingertips, of a single finger that to the palm."""
+    poses = motion.poses(lengths)
+    if len(fingers) == 1:
+        palm = mechanism.surface(poses, mechanism.palm)
+        tip = fingers[0].tip_at(poses)
+        return float(np.linalg.norm(palm - tip, axis=1).min(initial=np.inf))
+    tips = [finger.tip_at(poses) for finger in fingers]
+    return float(np.mean([np.linalg.norm(b - a) for a, b in itertools.combinations(tips, 2)]))
+
+
+def _named(motion: DriveMotion, given: Mapping[str, float]) -> list[int]:
+    by_name = _drives_by_name(motion)
+    return sorted({by_name[name] for name in given})
 
 
 def given_lengths(
@@ -151,11 +292,7 @@ def given_lengths(
     """
     out = base.copy()
     model = motion.model
-    by_name: dict[str, int] = {}
-    for index, drive in enumerate(motion.drives):
-        by_name[drive.name] = index
-        if len(drive.joints) == 1:
-            by_name.setdefault(model.joint(drive.joints[0]).name, index)
+    by_name = _drives_by_name(motion)
     for name, value in given.items():
         if name not in by_name:
             raise DescriptionError(
@@ -172,4 +309,14 @@ def given_lengths(
                 f"{drive.high:g}"
             )
         out[by_name[name]] = np.clip(length, drive.low, drive.high)
+    return out
+
+
+def _drives_by_name(motion: DriveMotion) -> dict[str, int]:
+    """Return the drives by their names and, where they move one joint, by that of the joint."""
+    out: dict[str, int] = {}
+    for index, drive in enumerate(motion.drives):
+        out[drive.name] = index
+        if len(drive.joints) == 1:
+            out.setdefault(motion.model.joint(drive.joints[0]).name, index)
     return out

@@ -21,6 +21,9 @@ are drawn that way."""
 APPROACH_SNAP = np.radians(20.0)
 """The same for the approach of jaws, whose estimate rests on the middle of the palm."""
 
+EXACT = np.radians(1.0)
+"""An axis this close is one of the palm even where the model's are near, too."""
+
 HAND_SNAP = np.radians(10.0)
 SQUARE = 0.02
 """Cosine below which an axis of the model counts as perpendicular to the closing axis."""
@@ -145,9 +148,11 @@ def _snap(
     limit: float,
     across: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float64], float]:
-    """Return the nearest axis of the first frame that has one within the limit, and the angle to
-    it (rad); else the vector itself and NaN. `across`: a direction it must be perpendicular to.
+    """Return the nearest axis of the first frame that has one within the limit, or of one that has
+    it exactly, and the angle to it (rad); else the vector itself and NaN. `across`: a direction it
+    must be perpendicular to.
     """
+    found = []
     for frame in frames:
         known = np.concatenate([frame.T, -frame.T])
         if across is not None:
@@ -156,6 +161,9 @@ def _snap(
             continue
         nearest = known[int(np.argmax(known @ vector))]
         angle = float(np.arccos(np.clip(nearest @ vector, -1.0, 1.0)))
-        if angle <= limit:
-            return nearest / np.linalg.norm(nearest), angle
+        found.append((angle, nearest / np.linalg.norm(nearest)))
+    for most in (EXACT, limit):
+        for angle, nearest in found:
+            if angle <= most:
+                return nearest, angle
     return vector, float("nan")

@@ -109,6 +109,8 @@ def _tcp(analysis: Analysis, overrides: Overrides) -> Finding:
     value = _vector(analysis.tcp)
     if overrides.tcp is not None:
         return Finding("tcp", value, SURE, GIVEN, "--tcp")
+    if analysis.tcp_rule is not None:
+        return Finding("tcp", value, LIKELY, analysis.tcp_rule, "--tcp")
     if analysis.hand:
         why = "where thumb and fingertips meet as they curl"
         return Finding("tcp", value, LIKELY, why, "--tcp")
@@ -141,6 +143,9 @@ def _open(
         why = "widest posture whose pads still look at each other"
         return Finding("open", value, LIKELY, why, "--open")
     width = description.max_width or 0.0
+    if analysis.limited:
+        why = f"widest posture whose pads still look at each other: {1000 * width:.0f} mm"
+        return Finding("open", value, LIKELY, why, "--open")
     return Finding("open", value, SURE, f"the widest: {1000 * width:.0f} mm at the TCP", "--open")
 
 

@@ -137,16 +137,18 @@ def _joint_drives(model: mujoco.MjModel, taken: list[Drive]) -> list[Drive]:
     """Return joints to drive directly: those whose motion no actuator and no coupling settles.
 
     A coupled set of joints that an actuator pulls on anywhere is left as it is, even where it has
-    more freedoms than actuators: springs and stops rule those.
+    more freedoms than actuators: springs and stops rule those. So they do joints on springs beyond
+    others that have none.
     """
     component = _components(model, taken)
     served = {component[j] for drive in taken for j in drive.joints}
+    sprung = _on_springs(model, served, component)
     followers = joint_followers(model)
     rows = list(equality_jacobian(model))
     out = []
     order = sorted(range(model.njnt), key=lambda j: (j in followers, j))
     for joint in order:
-        if component[joint] in served:
+        if component[joint] in served or joint in sprung:
             continue
         row = np.zeros(model.nv)
         row[model.jnt_dofadr[joint]] = 1.0
@@ -158,6 +160,24 @@ def _joint_drives(model: mujoco.MjModel, taken: list[Drive]) -> list[Drive]:
         low, high = joint_range(model, joint)
         out.append(Drive(model.joint(joint).name, coefs, low, high))
     return sorted(out, key=lambda drive: drive.joints[0])
+
+
+def _on_springs(model: mujoco.MjModel, served: set[int], component: list[int]) -> set[int]:
+    """Return the joints that only a spring moves: stiff ones, coupled to none, further out than
+    one that is driven.
+    """
+    alone = {j for j in range(model.njnt) if component.count(component[j]) == 1}
+    stiff = {j for j in alone if model.jnt_stiffness[j] > 0.0 and component[j] not in served}
+    out = set()
+    for joint in stiff:
+        body = int(model.body_parentid[model.jnt_bodyid[joint]])
+        while body:
+            first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+            if any(j not in stiff for j in range(first, first + count)):
+                out.add(joint)
+                break
+            body = int(model.body_parentid[body])
+    return out
 
 
 def _rank(rows: list[NDArray[np.float64]]) -> int:

@@ -18,6 +18,13 @@ MOVED = 0.02
 
 PARALLEL = 0.95
 TIP_SHARE = 0.15
+ROOT_SHARE = 0.05
+BESIDE = 0.3
+"""A part that leads less than this share aside from its direction of motion is a bellows."""
+
+ASIDE = 1e-4
+"""Fingers whose root lies nearer (m) to the middle of all have no side of their own."""
+
 LEVER_REACH = 0.9
 """A branch on another's drives and beside it that reaches less than this share is its lever."""
 
@@ -104,6 +111,50 @@ def joint_axes(
     return data.xanchor.copy(), data.xaxis.copy()
 
 
+def crossed_over(
+    fingers: Sequence[Finger], motion: DriveMotion, lengths: NDArray[np.float64]
+) -> bool:
+    """Whether the tip of a turning finger lies, in the plane in which it turns, on the far side
+    of the middle of all roots, for driven lengths (n,).
+    """
+    turning = [finger for finger in fingers if not finger.sliding]
+    if len(turning) < 2:
+        return False
+    poses = motion.poses(lengths)
+    anchors, axes = joint_axes(motion, lengths)
+    first = [finger.moving[0] for finger in turning]
+    middle = anchors[first].mean(axis=0)
+    for finger, joint in zip(turning, first, strict=True):
+        across = np.eye(3) - np.outer(axes[joint], axes[joint])
+        root = across @ (anchors[joint] - middle)
+        if (
+            float(np.linalg.norm(root)) > ASIDE
+            and float(root @ (finger.tip_at(poses) - middle)) < 0.0
+        ):
+            return True
+    return False
+
+
+def leads_aside(
+    mechanism: Mechanism,
+    poses: NDArray[np.float64],
+    finger: Finger,
+    axis: NDArray[np.float64],
+) -> float:
+    """Return the share of a finger's way from its root, the part nearest to the palm, to its tip
+    that is not along the unit `axis` (3,) of its motion.
+    """
+    palm = mechanism.surface(poses, mechanism.palm)
+    if not len(palm):
+        return 1.0
+    points = mechanism.surface(poses, finger.links)
+    distance = np.asarray(KDTree(palm).query(points)[0])
+    root = points[distance <= np.quantile(distance, ROOT_SHARE)].mean(axis=0)
+    ahead = finger.tip_at(poses) - root
+    aside = ahead - ahead @ axis * axis
+    return float(np.linalg.norm(aside) / max(np.linalg.norm(ahead), 1e-9))
+
+
 def _drives_of(branch: Branch, gains: NDArray[np.float64]) -> set[int]:
     return set(np.flatnonzero(np.abs(gains[:, list(branch.chain)]).max(axis=1) > MOVED).tolist())
 
@@ -177,7 +228,9 @@ def _finger(
         float(np.sign(sense * sum(gains[d, j] * (axes[j] @ axes[last]) for j in alike)) or 1.0)
         for d in curl
     )
-    tip_body, tip = _tip(mechanism, poses, branch, anchors[last], last)
+    # A last joint that only a spring moves has no drive.
+    end = branch.chain[-1] if model.jnt_type[branch.chain[-1]] == model.jnt_type[last] else last
+    tip_body, tip = _tip(mechanism, poses, branch, anchors[end], last)
     return Finger(
         name=model.body(branch.root).name,
         links=branch.bodies,

@@ -10,13 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from megrasp_core.errors import DescriptionError
+from megrasp_core.grippers import NO_SUCTION
 
-from .fingers import Finger, joint_axes
+from .fingers import BESIDE, Finger, crossed_over, joint_axes, leads_aside
 from .mechanism import Mechanism
 from .motion import DriveMotion
 from .opposition import Opposition, divisions, facing
 
 MAX_DRIVES = 6
+ALIKE_MOTION = 0.1
+"""Fingers whose ways differ by less than this share of them do not close."""
+
+LEAST_MOTION = 1e-4
 ALIKE = 0.02
 """Divisions whose scores (cosines) differ by less oppose alike."""
 
@@ -40,13 +45,13 @@ def oppose_jaws(
             "postures with --open joint=value ... and --closed joint=value ..."
         )
     base = motion.rest()
-    best: tuple[float, NDArray[np.float64], NDArray[np.float64]] | None = None
+    best: tuple[tuple[bool, float], NDArray[np.float64], NDArray[np.float64]] | None = None
     for ends in itertools.product((0, 1), repeat=len(drives)):
         start, end = base.copy(), base.copy()
         chosen = np.array(ends) == 0
         start[drives] = np.where(chosen, motion.low[drives], motion.high[drives])
         end[drives] = np.where(chosen, motion.high[drives], motion.low[drives])
-        wide = _openness(mechanism, motion, fingers, start)
+        wide = _openness(motion, fingers, start)
         if best is None or wide > best[0]:
             best = wide, start, end
     assert best is not None  # product() yields at least one corner
@@ -63,6 +68,8 @@ def divide_jaws(
     """Divide the fingers into groups by how they move from `start` to `end` (n,)."""
     way = [motion.poses(lengths) for lengths in (start, end)]
     tips = np.array([[finger.tip_at(poses) for finger in fingers] for poses in way])
+    _refuse_alike(fingers, tips)
+    _refuse_cups(mechanism, fingers, way[0], tips)
     ways = [_way(division, fingers, tips) for division in divisions(fingers)]
     scores = sorted(way.score for way in ways)
     # Fingers around a centre oppose alike in several ways: then along an axis of the model, the
@@ -74,13 +81,43 @@ def divide_jaws(
     return Opposition(best.groups, start, end, best.axis, middle, best.facing, margin, False)
 
 
-def _openness(
+def _refuse_alike(fingers: Sequence[Finger], tips: NDArray[np.float64]) -> None:
+    """Refuse parts that all move the same way, as the cups of a suction tool do."""
+    moved = tips[1] - tips[0]
+    apart = float(np.linalg.norm(moved - moved.mean(axis=0), axis=1).max())
+    if apart < ALIKE_MOTION * float(np.linalg.norm(moved, axis=1).max()):
+        raise DescriptionError(
+            f"{', '.join(finger.name for finger in fingers)} all move the same way and close on "
+            f"nothing: {NO_SUCTION}"
+        )
+
+
+def _refuse_cups(
     mechanism: Mechanism,
-    motion: DriveMotion,
     fingers: Sequence[Finger],
-    lengths: NDArray[np.float64],
-) -> float:
-    """Return the sum of distances between fingertips (m), negative where two have crossed over."""
+    poses: NDArray[np.float64],
+    tips: NDArray[np.float64],
+) -> None:
+    """Refuse parts that all slide along their own length, as cups on springs do."""
+    moved = tips[1] - tips[0]
+    for finger, way in zip(fingers, moved, strict=True):
+        size = float(np.linalg.norm(way))
+        if not finger.sliding or size < LEAST_MOTION:
+            return
+        if leads_aside(mechanism, poses, finger, way / size) >= BESIDE:
+            return
+    raise DescriptionError(
+        f"{', '.join(finger.name for finger in fingers)} move in and out of the base and close on "
+        f"nothing: {NO_SUCTION}"
+    )
+
+
+def _openness(
+    motion: DriveMotion, fingers: Sequence[Finger], lengths: NDArray[np.float64]
+) -> tuple[bool, float]:
+    """Return whether every finger stays on its own side, and the sum of distances between
+    fingertips (m), negative where two have crossed over.
+    """
     poses = motion.poses(lengths)
     anchors, _ = joint_axes(motion, lengths)
     out = 0.0
@@ -89,7 +126,7 @@ def _openness(
         roots = anchors[b.chain[0]] - anchors[a.chain[0]]
         crossed = not (a.sliding or b.sliding) and float(apart @ roots) < 0.0
         out += float(np.linalg.norm(apart)) * (-1.0 if crossed else 1.0)
-    return out
+    return not crossed_over(fingers, motion, lengths), out
 
 
 def _along_model(axis: NDArray[np.float64]) -> tuple[float, int]:

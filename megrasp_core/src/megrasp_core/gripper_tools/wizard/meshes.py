@@ -10,10 +10,10 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-import open3d as o3d
 import trimesh
 
 from megrasp_core.errors import DescriptionError
+from megrasp_core.meshes import Mesh, simplified
 
 from .collada import read_collada
 
@@ -41,26 +41,41 @@ class MeshFinder:
     roots: tuple[Path, ...] = ()
     guessed: dict[str, Path] = field(default_factory=dict)
 
+    def package(self, name: str) -> Path | None:
+        """Return the folder of a ROS package, or None."""
+        return next((place for place in self._package_folders(name) if place.is_dir()), None)
+
     def find(self, name: str) -> Path | None:
-        """Return the file, or None. Files found elsewhere than stated are noted in `guessed`."""
+        """Return the file, or None. Files found elsewhere than stated, or in other letter case,
+        are noted in `guessed`.
+        """
         plain = name.removeprefix("file://").replace("model://", PACKAGE)
         if plain.startswith(PACKAGE):
             package, _, rest = plain.removeprefix(PACKAGE).partition("/")
             for place in self._package_folders(package):
-                if (place / rest).is_file():
-                    return place / rest
+                if (file := self._in(place, Path(rest), name)) is not None:
+                    return file
             return self._beside(name, Path(rest))
         path = Path(plain)
         for root in (self.folder, *self.roots):
-            if (root / path).is_file():
-                return root / path
+            if (file := self._in(root, path, name)) is not None:
+                return file
         return self._beside(name, path)
+
+    def _in(self, folder: Path, path: Path, name: str) -> Path | None:
+        """Return the file below a folder, in whatever letter case it is written."""
+        if (folder / path).is_file():
+            return folder / path
+        found = _any_case(folder, path)
+        if found is not None:
+            self.guessed[name] = found
+        return found
 
     def _package_folders(self, package: str) -> list[Path]:
         if package in self.packages:
             return [self.packages[package]]
         out = []
-        for parent in list(self.folder.resolve().parents)[:PARENTS]:
+        for parent in [self.folder.resolve(), *self.folder.resolve().parents][: PARENTS + 1]:
             out += [parent / package]
         for parent in [self.folder.resolve(), *self.folder.resolve().parents][:PARENTS]:
             if _package_name(parent) == package:
@@ -75,11 +90,29 @@ class MeshFinder:
         parts = path.parts[1:] if path.is_absolute() else path.parts
         for parent in [self.folder.resolve(), *self.folder.resolve().parents][:PARENTS]:
             for start in range(len(parts)):
-                candidate = parent.joinpath(*parts[start:])
-                if candidate.is_file():
+                candidate = _any_case(parent, Path(*parts[start:]))
+                if candidate is not None:
                     self.guessed[name] = candidate
                     return candidate
         return None
+
+
+def _any_case(folder: Path, path: Path) -> Path | None:
+    """Return the file at a path below a folder, letter case aside; None where there is none."""
+    here = Path(path.anchor) if path.is_absolute() else folder
+    for part in path.parts[1:] if path.is_absolute() else path.parts:
+        if part == ".." or (here / part).exists():
+            here = here / part
+            continue
+        try:
+            names = sorted(entry.name for entry in here.iterdir())
+        except OSError:
+            return None
+        same = [name for name in names if name.lower() == part.lower()]
+        if not same:
+            return None
+        here = here / same[0]
+    return here if here.is_file() else None
 
 
 def _package_name(folder: Path) -> str | None:
@@ -107,7 +140,10 @@ def missing_message(model: Path, missing: Mapping[str, str]) -> str:
     if packages:
         given = " ".join(f"{package}=/folder/of/{package}" for package in packages)
         return f"{text}Say where the ROS packages lie: --package {given}"
-    return f"{text}Put them where the model names them, relative to {model.parent}"
+    return (
+        f"{text}Put them where the model names them, relative to {model.parent}; what is no part "
+        "of the gripper is not looked for with --root LINK, the link that the fingers hang from"
+    )
 
 
 class MeshStore:
@@ -172,9 +208,7 @@ def _binary_stl_faces(file: Path) -> int:
 def _thinned(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     if len(mesh.faces) <= MOST_FACES:
         return mesh
-    full = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.faces)
-    )
-    full.merge_close_vertices(1e-7)
-    less = full.simplify_quadric_decimation(MOST_FACES)
-    return trimesh.Trimesh(np.asarray(less.vertices), np.asarray(less.triangles), process=False)
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    whole = Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces, dtype=np.int64))
+    fewer = simplified(whole, MOST_FACES)
+    return trimesh.Trimesh(fewer.vertices, fewer.faces, process=False)

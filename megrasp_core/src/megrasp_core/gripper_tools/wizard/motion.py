@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -18,6 +19,11 @@ CONVERGED = 1e-9
 SETTLE_TIME = 3.0
 CALM = 1e-3
 WARM_UP = 50
+REACH_SAMPLES = 61
+REACH_HALVINGS = 12
+COUPLED = 5e-5
+"""Coupled joints are at most so far (m or rad) from where the coupling puts them."""
+
 STIFFNESS_SLIDE, STIFFNESS_HINGE = 5000.0, 20.0
 
 
@@ -48,6 +54,8 @@ class DriveMotion:
             self._sim = self._simulation()
             self._sim_data = mujoco.MjData(self._sim)
             self._sim_data.qpos[:] = np.clip(model.qpos0, *self._bounds())
+        else:
+            self.drives = [self._reachable(index) for index in range(len(self.drives))]
 
     def rest(self) -> NDArray[np.float64]:
         """Return the lengths (n,) nearest to zero, which is where modellers put a joint's middle.
@@ -55,6 +63,15 @@ class DriveMotion:
         The default positions of a model are none: some lie outside the limits.
         """
         return np.clip(np.zeros(len(self.drives)), self.low, self.high)
+
+    def within(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> DriveMotion:
+        """Return the same motion with other ranges (n,) of the drives."""
+        out = copy.copy(self)
+        out.drives = [
+            replace(drive, low=float(a), high=float(b))
+            for drive, a, b in zip(self.drives, low, high, strict=True)
+        ]
+        return out
 
     @property
     def low(self) -> NDArray[np.float64]:
@@ -92,7 +109,9 @@ class DriveMotion:
         """Newton steps of least norm on drives and joint equalities, inside the limits."""
         model = self.model
         q0 = model.qpos0[model.jnt_qposadr]
-        q = np.clip(q0, *self.ranges.T)
+        # What no drive moves rests where its spring does.
+        held = np.where(model.jnt_stiffness > 0.0, model.qpos_spring[model.jnt_qposadr], q0)
+        q = np.clip(held, *self.ranges.T)
         coefs = np.array([drive.coefs for drive in self.drives]).reshape(-1, model.njnt)
         for _ in range(NEWTON_STEPS):
             rows, errors = [coefs], [lengths - coefs @ q]
@@ -108,6 +127,42 @@ class DriveMotion:
         out = model.qpos0.copy()
         out[model.jnt_qposadr] = q
         return out
+
+    def _reachable(self, index: int) -> Drive:
+        """Return a drive with its range cut to where the joints coupled to it keep their limits;
+        as it is where they never do.
+        """
+        drive = self.drives[index]
+        if not set(drive.joints) & set(self.followers.values()):
+            return drive
+        times = np.linspace(drive.low, drive.high, REACH_SAMPLES)
+        if self._fits(index, drive.low) and self._fits(index, drive.high):
+            return drive
+        fits = np.array([self._fits(index, float(length)) for length in times])
+        if not fits.any():
+            return drive
+        borders = np.flatnonzero(np.diff(np.concatenate([[0], fits, [0]]).astype(int)))
+        runs = borders.reshape(-1, 2)
+        first, last = runs[int(np.argmax(runs[:, 1] - runs[:, 0]))]
+        ends = []
+        for inner, outer in ((first, first - 1), (last - 1, last)):
+            good, bad = float(times[inner]), float(times[np.clip(outer, 0, len(times) - 1)])
+            for _ in range(REACH_HALVINGS):
+                half = (good + bad) / 2.0
+                good, bad = (half, bad) if self._fits(index, half) else (good, half)
+            ends.append(good)
+        return replace(drive, low=ends[0], high=ends[1])
+
+    def _fits(self, index: int, length: float) -> bool:
+        """Whether a drive gets to a length, the others at rest, with all couplings kept."""
+        lengths = self.rest()
+        lengths[index] = length
+        model = self.model
+        qpos = self._solve(lengths)
+        q, q0 = qpos[model.jnt_qposadr], model.qpos0[model.jnt_qposadr]
+        off = [float(self.drives[index].coefs @ q) - length]
+        off += [self._equality(int(i), q, q0)[1] for i in np.flatnonzero(model.eq_active0 == 1)]
+        return float(np.abs(off).max()) <= COUPLED
 
     def _equality(
         self, index: int, q: NDArray[np.float64], q0: NDArray[np.float64]

@@ -21,7 +21,8 @@ class Opposition:
     direction from the first group to the second, along which they close, model frame. `middle`
     (3,): between the pads. `facing`: cosine by which the pads look at each other (1: straight).
     `margin`: how much better this division into groups is than the next (1 where there is no
-    other). `contact`: whether the groups touch in the closed posture.
+    other). `contact`: whether the groups touch in the closed posture. `meet` (3,): where the
+    single finger meets the fixed side, model frame, None with fingers on both sides.
     """
 
     groups: tuple[tuple[Finger, ...], tuple[Finger, ...]]
@@ -33,6 +34,7 @@ class Opposition:
     margin: float
     contact: bool
     fixed: tuple[tuple[int, ...], tuple[int, ...]] = ((), ())
+    meet: NDArray[np.float64] | None = None
 
     def tips(self, side: int) -> tuple[int, ...]:
         """Return the last links of one side."""

@@ -19,6 +19,7 @@ STRAIGHT = 0.0025
 """The same against a straight line where the fingers turn, so open at an angle."""
 
 ROUNDED_BINS = 3
+BULGE_BINS = 2
 
 SKIPPED_BINS = 2
 """A notch of this many cells does not end a pad."""
@@ -84,11 +85,20 @@ def _flat_start(levels: NDArray[np.int64], room: NDArray[np.float64], turning: b
             skipped += 1
             if skipped > SKIPPED_BINS:
                 break
-    closest = [index for index in taken if room[index] <= np.min(room[taken]) + FLAT]
+    closest = _closest(room, taken)
+    if not turning and len(closest) < BULGE_BINS and max(closest) < count - ROUNDED_BINS:
+        # An edge of what the finger stands on, no face.
+        taken = [index for index in taken if index > max(closest)]
+        closest = _closest(room, taken)
     if not turning and max(closest) < count - ROUNDED_BINS:
         # A bulge, not just rounded tips: its middle is the pad's.
         return round(2.0 * float(np.mean(levels[closest])) - float(levels[-1]))
     return int(levels[min(taken)])
+
+
+def _closest(room: NDArray[np.float64], taken: list[int]) -> list[int]:
+    """Return the levels (indices) at which the room is as small as anywhere."""
+    return [index for index in taken if room[index] <= np.min(room[taken]) + FLAT]
 
 
 def _fits(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
@@ -19,13 +19,14 @@ from megrasp_core.grippers import (
     quiet_mujoco,
 )
 
-from .cleaning import clean, cut_out, steady_urdf
+from .cleaning import clean, cut_out, limit_slides, steady_urdf
 from .drives import find_drives
 from .findings import Notes
+from .foreign import leave_out_foreign
 from .mechanism import Mechanism, find_mechanism, rigid_parts
 from .meshes import FOLDER
 from .motion import DriveMotion
-from .source import read_source
+from .source import SourceOptions, is_urdf, read_source
 from .units import check_units, scale_meshes, scale_model
 
 MODEL_FILE = "model.xml"
@@ -36,15 +37,6 @@ LARGEST_REACH = 0.5
 """A longer 'finger' (m) is a limb of a whole robot."""
 
 MOST_NAMES = 40
-
-
-@dataclass(frozen=True)
-class SourceOptions:
-    """What the user says about the file: ROS package folders, scale to metres, link to cut at."""
-
-    packages: Mapping[str, Path] = field(default_factory=dict)
-    scale: float | None = None
-    root: str | None = None
 
 
 @dataclass(frozen=True)
@@ -78,10 +70,10 @@ def prepare(
     Raises:
         DescriptionError: what is wrong with the file, and what to do.
     """
-    spec = read_source(path, folder, options.packages, notes)
+    spec = read_source(path, folder, options, notes)
     clean(spec, notes)
     # The loader adds this to URDFs; the model is written as MJCF.
-    if path.suffix.lower() == ".urdf":
+    if is_urdf(path):
         steady_urdf(spec)
     if options.scale is not None:
         scale_model(spec, options.scale)
@@ -98,6 +90,7 @@ def prepare(
             )
         scale_model(spec, factor)
         notes.add(f"the model's lengths look like millimetres: all scaled by {factor:g}")
+    limit_slides(spec, notes)
     if options.root is not None:
         spec = cut_out(spec, options.root)
     prepared = _written(spec, folder, path)
@@ -107,8 +100,11 @@ def prepare(
             f"{len(prepared.mechanism.above)} joints lead to the palm, so this is an arm with a "
             f"gripper: cut at link '{link}' (another: --root LINK)"
         )
-        prepared = _written(cut_out(spec, link), folder, path)
+        spec = cut_out(spec, link)
+        prepared = _written(spec, folder, path)
     _refuse_robot(prepared.mechanism, path)
+    if leave_out_foreign(spec, prepared.mechanism, prepared.motion, notes):
+        prepared = _written(spec, folder, path)
     return prepared
 
 
@@ -133,7 +129,12 @@ def _written(spec: mujoco.MjSpec, folder: Path, path: Path) -> Prepared:
         if file.name not in used:
             file.unlink()
     description = provisional_description(folder)
-    model = compile_spec(build_spec(description), description)
+    try:
+        model = compile_spec(build_spec(description), description)
+    except DescriptionError as error:
+        # The user knows the model by the name of the file that was given.
+        written = str(description.model_path)
+        raise DescriptionError(str(error).replace(written, str(path))) from error
     motion = DriveMotion(model, find_drives(model))
     middle = (motion.low + motion.high) / 2.0
     samples = [motion.poses(v) for v in (motion.rest(), motion.low, middle, motion.high)]

@@ -77,3 +77,38 @@ def pad_profile(
     cells = (np.stack([row, column], axis=1) + 0.5) * CELL
     middle = (inner[1][two] + inner[0][one]) / 2.0
     return Profile(room, middle, cells, basis, float(room.min()), end)
+
+
+def room_ahead(
+    moving: NDArray[np.float64], still: NDArray[np.float64], axis: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return how far it is from a part along a direction to what lies ahead of it.
+
+    Args:
+        moving: surface points (N, 3) of the part.
+        still: surface points (M, 3) of what it may meet.
+        axis: unit direction (3,) in which it moves.
+
+    Returns:
+        Distances (K,) of the cells across the direction in which both have points, the cells'
+        places (K, 3) with no part along it, and the front (K,) of the part along it.
+    """
+    basis = across(axis)
+    keys = []
+    for points in (moving, still):
+        index = np.floor(points @ basis.T / CELL).astype(np.int64)
+        keys.append(index[:, 0] * (1 << 20) + index[:, 1] + (1 << 40))
+    cells, where = np.unique(keys[0], return_inverse=True)
+    front = np.full(len(cells), -np.inf)
+    np.maximum.at(front, where, moving @ axis)
+    place = np.minimum(np.searchsorted(cells, keys[1]), len(cells) - 1)
+    shared = cells[place] == keys[1]
+    ahead = still[shared] @ axis - front[place[shared]]
+    room = np.full(len(cells), np.inf)
+    np.minimum.at(room, place[shared][ahead > 0.0], ahead[ahead > 0.0])
+    kept = np.isfinite(room)
+    index = cells[kept] - (1 << 40)
+    row = np.floor_divide(index + (1 << 19), 1 << 20)
+    column = index - row * (1 << 20)
+    places = (np.stack([row, column], axis=1) + 0.5) * CELL @ basis
+    return room[kept], places, front[kept]

@@ -1,11 +1,11 @@
-"""Score of the wizard: real grippers whose axes and TCP were measured, hidden from it."""
+"""Score of the wizard: grippers whose axes and TCP are known, hidden from it."""
 
 from __future__ import annotations
 
 import json
 import shutil
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from megrasp_core.errors import DescriptionError, MegraspError
+from megrasp_core.gripper_tools.plain_jaws import plain_jaws, write_plain_jaw
 from megrasp_core.grippers import FILE_NAME, MODEL_SUFFIXES, GripperDescription, load_description
 
 from .wizard import ModelRequest, new_gripper
@@ -23,6 +24,7 @@ HAND_LIMITS = (25.0, 0.030)
 """Largest angle of either axis (degrees) and distance of the TCP (m)."""
 
 WANTED = 11 / 13
+WANTED_JAWS = 38 / 40
 
 JAW_ACTUATORS = 4
 """A real gripper with more actuators is a hand."""
@@ -46,9 +48,10 @@ class Row:
 
 @dataclass(frozen=True)
 class Score:
-    """All rows."""
+    """All rows, and which share of them is wanted right."""
 
     rows: list[Row]
+    wanted: float = WANTED
 
     @property
     def right(self) -> int:
@@ -58,7 +61,7 @@ class Score:
     @property
     def passed(self) -> bool:
         """Whether the wanted share is right."""
-        return bool(self.rows) and self.right >= WANTED * len(self.rows) - 1e-9
+        return bool(self.rows) and self.right >= self.wanted * len(self.rows) - 1e-9
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of the JSON file."""
@@ -99,12 +102,35 @@ def score_assets(
         model = next(
             file for file in sorted((folder / name).iterdir()) if file.suffix in MODEL_SUFFIXES
         )
-        if keep is not None:
-            rows.append(_row(name, model, keep / name, facts[name], picture=True))
-            continue
         with tempfile.TemporaryDirectory() as scratch:
-            rows.append(_row(name, model, Path(scratch) / name, facts[name], picture=False))
+            out = (Path(scratch) if keep is None else keep) / name
+            rows.append(_row(name, model, out, facts[name], picture=keep is not None))
     return Score(rows)
+
+
+def score_plain_jaws(
+    count: int,
+    seed: int,
+    keep: Path | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Score:
+    """The same for jaws that are drawn here, with what is known about them as the facts.
+
+    Args:
+        count: how many.
+        seed: of the drawing.
+        keep: where the made grippers stay, with pictures; None throws them away.
+        progress: told the name of each gripper before it is made.
+    """
+    rows = []
+    for jaw in plain_jaws(count, seed):
+        if progress is not None:
+            progress(jaw.name)
+        with tempfile.TemporaryDirectory() as scratch:
+            model = write_plain_jaw(jaw, Path(scratch) / "input")
+            out = (Path(scratch) if keep is None else keep) / jaw.name
+            rows.append(_row(jaw.name, model, out, jaw.facts(), picture=keep is not None))
+    return Score(rows, WANTED_JAWS)
 
 
 def score_descriptions(
@@ -149,7 +175,7 @@ def facts_of(description: GripperDescription) -> dict[str, Any]:
 
 
 def compare_with_facts(
-    description: GripperDescription, fact: dict[str, Any]
+    description: GripperDescription, fact: Mapping[str, Any]
 ) -> tuple[float, float, float]:
     """Return the angles (degrees) of closing and approach axis and the distance (m) of the TCP.
 
@@ -186,7 +212,7 @@ def table(score: Score) -> list[str]:
     return lines
 
 
-def _row(name: str, model: Path, out: Path, fact: dict[str, Any], picture: bool) -> Row:
+def _row(name: str, model: Path, out: Path, fact: Mapping[str, Any], picture: bool) -> Row:
     try:
         made = new_gripper(ModelRequest(model, out), picture=picture)
     except MegraspError as error:

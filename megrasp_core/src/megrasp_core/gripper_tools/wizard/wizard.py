@@ -5,27 +5,32 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from megrasp_core.drawing.gripper_picture import gripper_picture
-from megrasp_core.errors import InvalidRequestError
-from megrasp_core.gripper_tools.check import check_gripper
+from megrasp_core.errors import DescriptionError, InvalidRequestError
+from megrasp_core.gripper_tools.check import check_geometry, check_gripper
 from megrasp_core.grippers import (
     FILE_NAME,
     Gripper,
     GripperDescription,
     load_description,
+    quiet_mujoco,
     save_description,
 )
 
 from .analyse import Analysis, Overrides, analyse
 from .compose import Labels, compose, valid_name
 from .conclusions import conclude
+from .encounters import collisions_on_the_way
 from .findings import Finding, Notes
-from .prepare import Prepared, SourceOptions, prepare
+from .prepare import Prepared, prepare
+from .source import SourceOptions
+from .tcp import other_tcps
 
 REPORT_FILE = "report.json"
 PICTURE_FILE = "picture.png"
@@ -106,21 +111,30 @@ def new_gripper(
         raise InvalidRequestError(
             f"{out} holds a {FILE_NAME} already; expected a new folder. Remove it or name another"
         )
+    with quiet_mujoco():
+        return _make(request, revise, accept_scale or (lambda _: False), picture)
+
+
+def _make(
+    request: ModelRequest,
+    revise: Revise | None,
+    accept_scale: Callable[[float], bool],
+    picture: bool,
+) -> NewGripper:
+    out, overrides = request.out, request.overrides
     notes = Notes()
-    overrides = request.overrides
-    with tempfile.TemporaryDirectory(prefix="megrasp-gripper-") as scratch:
-        prepared = prepare(
-            request.model, Path(scratch), request.source, notes, accept_scale or (lambda _: False)
-        )
+    with tempfile.TemporaryDirectory(prefix="megrasp-gripper-") as scratch, _named(scratch, out):
+        prepared = prepare(request.model, Path(scratch), request.source, notes, accept_scale)
         labels = _labels(request, prepared)
         while True:
             analysis = analyse(prepared, overrides)
-            description = compose(prepared, analysis, labels)
+            description, analysis = _with_sound_tcp(prepared, analysis, labels, overrides)
             findings = conclude(prepared, analysis, description, overrides)
             changed = revise(findings, overrides) if revise is not None else None
             if changed is None:
                 break
             overrides = changed
+        notes.lines += collisions_on_the_way(prepared, analysis)
         save_description(description, prepared.folder)
         out.mkdir(parents=True, exist_ok=True)
         shutil.copytree(prepared.folder, out, dirs_exist_ok=True)
@@ -132,6 +146,34 @@ def new_gripper(
     if picture:
         gripper_picture(Gripper(made), out / PICTURE_FILE)
     return result
+
+
+@contextmanager
+def _named(scratch: str, out: Path) -> Iterator[None]:
+    """Name in errors the folder that the user asked for, not the one it is made in."""
+    try:
+        yield
+    except DescriptionError as error:
+        if scratch not in str(error):
+            raise
+        raise DescriptionError(str(error).replace(scratch, str(out))) from error
+
+
+def _with_sound_tcp(
+    prepared: Prepared, analysis: Analysis, labels: Labels, overrides: Overrides
+) -> tuple[GripperDescription, Analysis]:
+    """Return the description with the first TCP that has nothing against it, and the analysis
+    with that; where all have, with the first.
+    """
+    description = compose(prepared, analysis, labels)
+    if overrides.tcp is not None or check_geometry(Gripper(description)).ok:
+        return description, analysis
+    for rule, tcp in other_tcps(prepared.mechanism, prepared.motion, analysis):
+        changed = replace(analysis, tcp=tcp, tcp_rule=rule)
+        other = compose(prepared, changed, labels)
+        if check_geometry(Gripper(other)).ok:
+            return other, changed
+    return description, analysis
 
 
 def _labels(request: ModelRequest, prepared: Prepared) -> Labels:

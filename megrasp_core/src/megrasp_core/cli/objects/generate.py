@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from .common import progress_bar, say
+from megrasp_core.cli.common import progress_bar, say
 
 __all__ = ["generate"]
 
