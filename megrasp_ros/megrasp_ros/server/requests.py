@@ -126,5 +126,6 @@ def _in_range(name: str, value: float, high: float, meaning: str) -> None:
 def _one_of(name: str, value: str, *choices: str) -> None:
     if value not in ("", *choices):
         raise InvalidRequestError(
-            f"{name} is {shortened(value, MOST_TEXT)!r}; expected one of {', '.join(choices)}, or empty."
+            f"{name} is {shortened(value, MOST_TEXT)!r}; expected one of {', '.join(choices)}, "
+            "or empty."
         )
