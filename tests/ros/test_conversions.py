@@ -127,7 +127,7 @@ def changed(**values: object) -> PointCloud2:
     [
         (PointCloud2(), ["empty", "at least one point", "camera"]),
         (cloud(np.full((4, 3), np.nan)), ["none of the 4 points", "infinite", "metres"]),
-        (without_z(), ["lacks z", "['x', 'y']", "Remap"]),
+        (without_z(), ["fields x, y and lacks z", "Remap"]),
         (changed(fields=[]), ["none", "x, y, z"]),
         (changed(data=array("B", b"abc")), ["3 bytes", "expected 48", "cut"]),
         (changed(row_step=5), ["row_step is 5", "at least 24"]),

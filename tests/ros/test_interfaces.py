@@ -23,6 +23,12 @@ SYNTHESIS_REQUEST = {
     "exclude": f"sequence<{POSE}>",
     "exclude_radius": "float",
 }
+SYNTHESIS_OPTIONS = {
+    "target": "int32",
+    "min_score": "float",
+    "mode": "string",
+    "prefer": "string",
+}
 SYNTHESIS_RESPONSE = {
     "success": "boolean",
     "error_code": "uint16",
@@ -30,6 +36,7 @@ SYNTHESIS_RESPONSE = {
     "grasps": "megrasp_msgs/GraspArray",
     "timing": "megrasp_msgs/Timing",
     "rejected": "sequence<megrasp_msgs/RejectionCount>",
+    "notes": "sequence<string>",
 }
 EXPECTED = {
     messages.OrientedBox: {"pose": POSE, "size": "geometry_msgs/Vector3"},
@@ -45,6 +52,10 @@ EXPECTED = {
         "clearance": "float",
         "tilt": "float",
         "collision_free": "boolean",
+        "retreat": POSE,
+        "width_tolerance": "double",
+        "opening": "double",
+        "object": "int32",
     },
     messages.GraspArray: {
         "header": HEADER,
@@ -70,8 +81,22 @@ EXPECTED = {
         ("wait", "perceive", "encode", "sample", "check", "total"), "float"
     ),
     messages.RejectionCount: {"reason": "string", "count": "uint32"},
-    services.SynthesizeGrasps.Request: SYNTHESIS_REQUEST,
+    services.SynthesizeGrasps.Request: {**SYNTHESIS_REQUEST, **SYNTHESIS_OPTIONS},
     services.SynthesizeGrasps.Response: SYNTHESIS_RESPONSE,
+    services.DetectBin.Request: {
+        "cloud": "sensor_msgs/PointCloud2",
+        "size": "geometry_msgs/Vector3",
+    },
+    services.DetectBin.Response: {
+        "success": "boolean",
+        "error_code": "uint16",
+        "error_msg": "string",
+        "bin": "megrasp_msgs/OrientedBox",
+        "fill_level": "float",
+        "cells": "sequence<float>",
+        "rows": "uint32",
+        "columns": "uint32",
+    },
     services.SetGripper.Request: {"gripper_name": "string", "dry_run": "boolean"},
     services.SetGripper.Response: {
         "success": "boolean",
@@ -95,7 +120,11 @@ EXPECTED = {
     },
     services.ChangeTool.Request: {"gripper_name": "string"},
     services.ChangeTool.Response: {"success": "boolean", "message": "string", "mounted": "string"},
-    actions.GenerateGrasps.Goal: {**SYNTHESIS_REQUEST, "preempt": "boolean"},
+    actions.GenerateGrasps.Goal: {
+        **SYNTHESIS_REQUEST,
+        "preempt": "boolean",
+        **SYNTHESIS_OPTIONS,
+    },
     actions.GenerateGrasps.Result: SYNTHESIS_RESPONSE,
     actions.GenerateGrasps.Feedback: {
         "phase": "string",
@@ -163,6 +192,7 @@ def test_defaults_are_those_promised() -> None:
         assert (request.num_grasps, request.seed, request.cloud.width) == (20, 0, 0)
         assert (request.max_tilt, request.timeout) == (0.0, 0.0)
         assert request.exclude_radius == pytest.approx(0.02)
+        assert (request.target, request.min_score, request.mode, request.prefer) == (-1, 0, "", "")
     assert services.SetGripper.Request().dry_run is False
 
 
@@ -170,7 +200,7 @@ def test_every_field_and_constant_is_documented() -> None:
     files = sorted(
         path for path in SOURCE.rglob("*.*") if path.suffix in (".msg", ".srv", ".action")
     )
-    assert len(files) == 14
+    assert len(files) == 15
     for file in files:
         for line in file.read_text().splitlines():
             if line.strip() and line != "---" and not line.startswith("#"):

@@ -78,6 +78,8 @@ class DoubleSynthesizer:
                     clearance=0.01,
                     tilt=0.0,
                     collision_free=True,
+                    width_tolerance=0.004,
+                    opening=0.06,
                 )
             )
         return Synthesis(

@@ -14,7 +14,12 @@ from megrasp_core.errors import InvalidRequestError, RequestTimeoutError
 from megrasp_ros.server.requests import checked_request
 
 SETTINGS: Any = SimpleNamespace(
-    max_num_grasps=100, max_tilt=np.pi, request_timeout=60.0, region=None
+    max_num_grasps=100,
+    max_tilt=np.pi,
+    request_timeout=60.0,
+    region=None,
+    min_score=0.0,
+    prefer="score",
 )
 
 
@@ -50,3 +55,37 @@ def test_reading_many_poses_ends_with_the_time_of_the_request() -> None:
     with pytest.raises(RequestTimeoutError):
         request.excluded(check)
     assert asked == 3
+
+
+def test_options_of_a_request_go_before_parameters() -> None:
+    plain = checked_request(SynthesizeGrasps.Request(), SETTINGS)
+    assert (plain.target, plain.min_score, plain.mode, plain.prefer) == (
+        None,
+        0.0,
+        "default",
+        "score",
+    )
+    given = SynthesizeGrasps.Request(target=3, min_score=0.5, mode="fast", prefer="high")
+    request = checked_request(given, SETTINGS)
+    assert (request.target, request.min_score, request.mode, request.prefer) == (
+        3,
+        0.5,
+        "fast",
+        "high",
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"target": 0}, "target is 0"),
+        ({"min_score": 1.5}, "min_score is 1.5"),
+        ({"min_score": float("nan")}, "min_score is nan"),
+        ({"mode": "slow"}, "default, fast"),
+        ({"prefer": "x" * 5000}, "score, high, clear"),
+    ],
+)
+def test_wrong_options_are_named(options: dict[str, Any], words: str) -> None:
+    with pytest.raises(InvalidRequestError, match=words) as told:
+        checked_request(SynthesizeGrasps.Request(**options), SETTINGS)
+    assert len(str(told.value)) < 2000
