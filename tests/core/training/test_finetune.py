@@ -42,7 +42,7 @@ def grasp(seed: int, *, depth: float = 0.0, as_tcp: bool = False) -> GivenGrasp:
     top = rng.uniform((-0.02, -0.03, BOX - 0.0005), (0.02, 0.03, BOX), (900, 3))
     side = rng.uniform((-0.02, -0.03, 0.0), (-0.02, 0.03, BOX), (500, 3))
     other = side * (-1, 1, 1)
-    box = np.concatenate([top, side, other]) + (*middle, 0)
+    box = np.concatenate([top, side, other]) + np.array([*middle, 0.0])
     tcp = np.diag([1.0, -1.0, -1.0, 1.0])
     tcp[:3, 3] = (*middle, BOX - depth)
     pose = tcp if as_tcp else tcp @ np.linalg.inv(load_gripper(NEW).gripper_from_tcp)

@@ -58,13 +58,13 @@ States = dict[str, Tensor]
 class FinetuneConfig:
     """How a gripper is learnt."""
 
-    steps: int = 120
+    steps: int = 60
     """Most steps; how many are taken is decided on grasps left out."""
-    check_every: int = 20
+    check_every: int = 15
     """Steps between two looks at the grasps left out."""
     folds: int = 5
     """Parts into which the grasps are divided; each is left out once."""
-    learning_rate: float = 1e-3
+    learning_rate: float = 2e-3
     """Of AdamW, after `warmup_steps`."""
     warmup_steps: int = 10
     """Steps in which the learning rate rises from 0."""
