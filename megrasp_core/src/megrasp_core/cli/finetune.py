@@ -104,7 +104,6 @@ def finetune(
     result.model.info = dataclasses.replace(
         info,
         model_id=model_id or f"{info.model_id}-{loaded.name}",
-        trained_grippers={**info.trained_grippers, loaded.name: loaded.hash},
         started_from=info.as_start(),
         finetuned={
             "gripper": loaded.name,
