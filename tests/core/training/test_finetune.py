@@ -101,13 +101,9 @@ def predictions(model: GraspModel, name: str, scene: GivenScene) -> torch.Tensor
 
 
 def test_others_are_held_where_they_were(parent, scenes):
-    """A known gripper, one of the same kind at that, moves much less than without what holds it;
-    the new one is learnt all the same.
-    """
-    gripper, before = (
-        load_gripper(NEW),
-        {n: predictions(parent, n, scenes[0]) for n in (NEW, KNOWN)},
-    )
+    """A known gripper, of the same kind at that, moves much less than without what holds it."""
+    gripper = load_gripper(NEW)
+    before = {name: predictions(parent, name, scenes[0]) for name in (NEW, KNOWN)}
 
     def moved(keep_weight: float) -> tuple[dict[str, float], float]:
         config = FinetuneConfig(**{**vars(CONFIG), "keep_weight": keep_weight})
@@ -120,7 +116,6 @@ def test_others_are_held_where_they_were(parent, scenes):
         return by_name, found.others
 
     (held, codes), (free, free_codes) = moved(100.0), moved(0.0)
-    print(held, codes, free, free_codes)
     assert codes < 0.3 * free_codes
     assert held[KNOWN] < 0.3 * free[KNOWN]
     assert held[NEW] > 0

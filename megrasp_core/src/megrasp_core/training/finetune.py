@@ -26,7 +26,8 @@ from megrasp_core.errors import InvalidRequestError, MegraspError, TrainingError
 from megrasp_core.grippers import (
     Gripper,
     GripperTokens,
-    list_grippers,
+    cad_folders,
+    gripper_folders,
     load_gripper,
     procedural_rack,
 )
@@ -224,6 +225,7 @@ class _Tuning:
         self.model = copy.deepcopy(self.parent)
         self.start = _copied(self.model.gripper_encoder.state_dict())
         self.schedule = NoiseSchedule.of(parent.config)
+        self.bands = {name: band for name, band in BANDS.items() if band[1] > self.schedule.s_min}
         self.fold = max(1, int(gripper.description.symmetry))
         self.nearest = bool(parent.info.training.get("nearest_copy", False))
         count = parent.config.gripper_tokens
@@ -235,15 +237,18 @@ class _Tuning:
             self.variance = self.held.var(0).mean().clamp(min=1e-6)
             self.views = [[self._view(s, n) for n in range(config.node_sets)] for s in scenes]
 
-    def _told_apart(self, others: list[GripperTokens]) -> list[GripperTokens]:
+    def _told_apart(self, others: dict[str, GripperTokens]) -> list[GripperTokens]:
         """Those that are not the same gripper from another model file: their codes differ from the
         gripper's by more than other samplings of its own surface do.
         """
         own = _stacked(self.own_codes).mean(1)
-        same = (own - own[0]).norm(dim=-1).max()
-        codes = _stacked(self.parent.encode_grippers(others)).mean(1)
-        apart = (codes - own[0]).norm(dim=-1) > same
-        return [tokens for tokens, kept in zip(others, apart.tolist(), strict=True) if kept]
+        same = float((own - own[0]).norm(dim=-1).max())
+        codes = _stacked(self.parent.encode_grippers(list(others.values()))).mean(1)
+        distances = (codes - own[0]).norm(dim=-1).tolist()
+        twins = [name for name, far in zip(others, distances, strict=True) if far <= same]
+        if twins:
+            _log.warning("%s looks the same to the model and changes with it", ", ".join(twins))
+        return [tokens for name, tokens in others.items() if name not in twins]
 
     def _view(self, scene: GivenScene, which: int) -> _View:
         nodes = scene_nodes(scene.seen.surface, self.parent.info.scene, which)
@@ -298,8 +303,8 @@ class _Tuning:
         return FinetuneResult(
             model,
             chosen,
-            _by_band(before) if parts else {},
-            _by_band(after[chosen]) if parts else {},
+            self._by_band(before) if parts else {},
+            self._by_band(after[chosen]) if parts else {},
             gain,
             error,
             tuple((look, float(gains[look].mean())) for look in looks) if parts else (),
@@ -349,8 +354,8 @@ class _Tuning:
         code, *others = model.encode_grippers([self.own[which], *self.others])
         moved = (_stacked(others) - self.held).square().mean() / self.variance
         parts = [config.keep_weight * moved]
-        # Each scene before any of them twice.
-        for row in rng.permutation(np.resize(rng.permutation(rows), config.scenes_per_step)):
+        # Every scene before any of them twice.
+        for row in np.resize(rng.permutation(rows), config.scenes_per_step):
             view = self.views[int(row)][int(rng.integers(config.node_sets))]
             parts.append(self._scene_loss(view, code, which, rng, generator))
         return parts[0] + torch.stack(parts[1:]).mean()
@@ -411,9 +416,12 @@ class _Tuning:
             level, error, _ = self._denoising(
                 self.views[row][0], code, self.config.validation_poses, rng, generator
             )
-            inside = [(level > low) & (level <= high) for low, high in BANDS.values()]
+            inside = [(level > low) & (level <= high) for low, high in self.bands.values()]
             losses.append([float(error[band].mean()) for band in inside])
         return np.array(losses)
+
+    def _by_band(self, losses: NDArray[np.float64]) -> dict[str, float]:
+        return dict(zip(self.bands, losses.mean(0).tolist(), strict=True))
 
     @torch.no_grad()
     def _moved(self, state: States) -> float:
@@ -423,17 +431,20 @@ class _Tuning:
         return float(squares.max().sqrt())
 
 
-def _other_tokens(gripper: Gripper, count: int) -> list[GripperTokens]:
-    """Of all registered grippers but this one, and of some of the procedural family."""
-    tokens = []
-    for name in [*list_grippers(), *procedural_rack(PROCEDURAL_OTHERS)]:
+def _other_tokens(gripper: Gripper, count: int) -> dict[str, GripperTokens]:
+    """Of all registered grippers but this one and CAD twins, and of some of the procedural
+    family.
+    """
+    tokens: dict[str, GripperTokens] = {}
+    own = set(gripper_folders()) - set(cad_folders())
+    for name in [*sorted(own), *procedural_rack(PROCEDURAL_OTHERS)]:
         try:
             other = load_gripper(name)
         except MegraspError as error:
             _log.warning("%s is not held where it was: %s", name, error)
             continue
         if other.hash != gripper.hash:
-            tokens.append(other.tokens(count, seed=0))
+            tokens[name] = other.tokens(count, seed=0)
     return tokens
 
 
@@ -443,10 +454,6 @@ def _stacked(codes: Sequence[GripperCode]) -> Tensor:
 
 def _copied(state: Mapping[str, Tensor]) -> States:
     return {name: value.detach().clone() for name, value in state.items()}
-
-
-def _by_band(losses: NDArray[np.float64]) -> dict[str, float]:
-    return dict(zip(BANDS, losses.mean(0).tolist(), strict=True))
 
 
 def _rounded(values: Mapping[str, float]) -> dict[str, float]:
