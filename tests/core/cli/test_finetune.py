@@ -57,10 +57,10 @@ def test_entries_are_read_as_synthesize_reads_clouds(folder):
     )
     assert one.name == "a.npz" and len(one.digest) == 64
     assert one.request.region is not None and one.request.walls
-    np.testing.assert_allclose(one.request.sensor, (0, 0, 1))
+    np.testing.assert_allclose(np.asarray(one.request.sensor), (0, 0, 1))
     np.testing.assert_allclose(one.pose7, POSE)
-    np.testing.assert_allclose(other.request.gravity, (0, 0, 1))
-    np.testing.assert_allclose(other.request.sensor, (0, 0, 0))
+    np.testing.assert_allclose(np.asarray(other.request.gravity), (0, 0, 1))
+    np.testing.assert_allclose(np.asarray(other.request.sensor), (0, 0, 0))
 
 
 @pytest.mark.parametrize(
