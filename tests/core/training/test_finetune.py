@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -163,15 +165,20 @@ def test_far_grasps_are_told_with_the_frame_in_which_they_are_not(parent, change
 
 
 def test_tcp_poses_are_asked_about(parent):
-    gripper = load_gripper(NEW)
+    gripper, settings = load_gripper(NEW), parent.info.scene
+    given = [given_scene(grasp(seed, depth=0.01), gripper, settings) for seed in range(3)]
+    assert doubt(given, gripper) is None
 
-    def asked(*, as_tcp: bool) -> str | None:
-        given = [grasp(seed, depth=0.01, as_tcp=as_tcp) for seed in range(3)]
-        return doubt([given_scene(one, gripper, parent.info.scene) for one in given], gripper)
+    def mistaken(scene: GivenScene) -> GivenScene:
+        told = dataclasses.replace(scene.grasp, world_from_gripper=scene.world_from_tcp)
+        return GivenScene(told, scene.seen, scene.world_from_tcp @ gripper.gripper_from_tcp)
 
-    assert asked(as_tcp=False) is None
-    try:
-        question = asked(as_tcp=True)
-    except DataError as error:
-        question = str(error)
-    assert question is not None and "world_from_tcp" in question
+    question = doubt([mistaken(scene) for scene in given], gripper)
+    assert question is not None
+    assert question.startswith("3 of 3 grasps collide") and "Is this world_from_tcp?" in question
+    upside_down = [
+        dataclasses.replace(scene, world_from_tcp=scene.world_from_tcp @ np.diag([1, -1, -1, 1]))
+        for scene in given[:2]
+    ]
+    question = doubt([*upside_down, given[2]], gripper)
+    assert question is not None and question.startswith("2 of 3 grasps collide")
