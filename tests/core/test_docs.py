@@ -27,10 +27,6 @@ RUNNABLE = re.compile(r"<!-- runnable -->\n```(\w*)\n(.*?)^```", re.DOTALL | re.
 NAME = re.compile(r"`(megrasp_core(?:\.\w+)+)`|from (megrasp_core(?:\.\w+)*) import (\w+)")
 
 
-PENDING = {("models/README.md", "docs/data-and-training.md#the-long-run")}
-"""Links whose headings are still to be written."""
-
-
 def targets(page: Path) -> Iterator[tuple[Path, str]]:
     """Every file that a page links to, and the heading in it, "" for none."""
     for link, anchor in LINK.findall(FENCE.sub("", page.read_text())):
@@ -60,7 +56,7 @@ def test_links_lead_to_headings(page: Path) -> None:
         for target, anchor in targets(page)
         if anchor and anchor not in anchors(target)
     }
-    assert not {(str(page.relative_to(ROOT)), link) for link in missing} - PENDING
+    assert not missing
 
 
 def test_headings_are_found_as_they_are_linked(tmp_path: Path) -> None:

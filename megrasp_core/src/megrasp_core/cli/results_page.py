@@ -16,9 +16,8 @@ from typing import Any
 from .common import block_writer
 
 MARK = "results"
-HEADS = ("gripper", "model", "friction", "scenes", "first", "filtered", "kept", "unfiltered",
-         "cleared", "drawn, returned, evaluations")  # fmt: skip
-RATES = ("first", "filtered", "unfiltered")
+HEADS = ("gripper", "model", "friction", "scenes", "first", "first_all", "filtered", "kept",
+         "unfiltered", "cleared", "cleared_of_all", "drawn, returned, evaluations")  # fmt: skip
 PLACES = ("models/*/evaluation/*.json", "docs/results/*.json")
 
 
@@ -44,17 +43,24 @@ def _results(root: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
 
 
 def _row(content: Mapping[str, Any], link: str) -> str:
-    rates = {key: _rate(content.get(key)) for key in RATES}
+    if content["protocol"] == "binpick" and "first_all" not in content:
+        # Before impossible attempts were told apart, all of them counted.
+        old = {"first_all": content["first"], "cleared_of_all": content["cleared"]}
+        content = {**content, **old, "first": None, "cleared": None}
+    other = content.get("executed_with", content["gripper"])
+    with_other = "" if other == content["gripper"] else f", executed with {other}"
     cells = [
-        f"[{content['gripper']}]({link})",
+        f"[{content['gripper']}]({link}){with_other}",
         content["model"],
         f"{content['config']['friction']:g}",
         str(content["scenes"]),
-        rates["first"],
-        rates["filtered"],
+        _rate(content["first"]),
+        _rate(content.get("first_all")),
+        _rate(content.get("filtered")),
         _share(content.get("kept_share")),
-        rates["unfiltered"],
+        _rate(content.get("unfiltered")),
         _share(content.get("cleared")),
+        _share(content.get("cleared_of_all")),
         ", ".join(str(content[key]) for key in ("drawn", "returned", "evaluations")),
     ]
     return f"| {' | '.join(cells)} |"
