@@ -26,6 +26,7 @@ ELSEWHERE = {
     "CHANGELOG.md": "changelog.md",
     "CONTRIBUTING.md": "contributing.md",
     "models/README.md": "models.md",
+    "docker/README.md": "docker.md",
 }
 """Pages of the repository that the site has under other names."""
 PACKAGES = (
