@@ -107,7 +107,11 @@ class Team:
         rank, size = self.rank, self.size
         try:
             if port is None:
-                store, _, _ = next(dist.rendezvous("env://", rank, size, timeout=START))
+                store, _, _ = next(
+                    dist.rendezvous(  # pyright: ignore[reportPrivateImportUsage]
+                        "env://", rank, size, timeout=START
+                    )
+                )
             else:
                 store = dist.TCPStore(  # pyright: ignore[reportPrivateImportUsage]
                     "127.0.0.1", port, size, rank == 0, timeout=START
