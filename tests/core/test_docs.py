@@ -68,6 +68,7 @@ def test_headings_are_found_as_they_are_linked(tmp_path: Path) -> None:
 WITH_BLOCKS = [page for page in PAGES if RUNNABLE.search(page.read_text())]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", WITH_BLOCKS, ids=lambda page: str(page.relative_to(ROOT)))
 def test_what_is_marked_runnable_runs(page: Path, tmp_path: Path) -> None:
     """The marked blocks of a page one after another, in one empty folder."""
