@@ -26,6 +26,7 @@ LAYERS = (
     {"evaluation", "training", "self_labelling", "gripper_tools", "benchmarks", "service"},
     {"viewer"},
     {"cli"},
+    {"__main__"},
 )
 ROOMS = {
     "benchmarks", "cell", "cli", "drawing", "evaluation", "gripper_tools", "self_labelling",

@@ -5,7 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from megrasp_core.errors import InvalidRequestError
+
 from .common import Flag, emit, progress_bar, say
+from .runs import Executor, executor_of
 
 if TYPE_CHECKING:
     from megrasp_core.evaluation.planners import Planner
@@ -36,6 +39,9 @@ def evaluation(
     without: tuple[Literal["openings", "sweep", "turns", "polish"], ...] = (),
     device: str = "cpu",
     threads: int | None = None,
+    executor: Executor = "local",
+    address: str | None = None,
+    workers: int = 1,
     seed: int = 1,
 ) -> int:
     """Success rates in simulation, with intervals.
@@ -53,6 +59,7 @@ def evaluation(
       megrasp eval --gripper robotiq_2f140 --without openings sweep --out plain.json
       megrasp eval --gripper robotiq_2f85 --ceiling --samples 0 --out ceiling.json
       megrasp eval --gripper robotiq_3f --execute-with robotiq_3f_cad --judged 20 --out t.json
+      megrasp eval --gripper robotiq_2f85 --executor ray --workers 32 --out many.json
 
     Args:
         gripper: name, or folder of a gripper.yaml.
@@ -81,7 +88,10 @@ def evaluation(
             far the protocol can be passed at all. Use it with --samples 0.
         without: stages of the synthesis that are left out, to see what each of them gains.
         device: cpu or cuda.
-        threads: torch threads.
+        threads: torch threads; where several processes run the scenes, one each without it.
+        executor: local processes or a Ray cluster that run the scenes.
+        address: of the Ray cluster.
+        workers: processes or tasks in flight.
         seed: of scenes, noise and samples.
     """
     from megrasp_core.evaluation.ceiling import CeilingPlanner
@@ -92,6 +102,15 @@ def evaluation(
     from megrasp_core.grippers import load_gripper
     from megrasp_core.synthesizer import GraspSynthesizer, SynthesizerSettings
 
+    spread = None
+    if executor != "local" or workers != 1:
+        spread = executor_of(executor, address, workers)
+        if device != "cpu":
+            raise InvalidRequestError(
+                f"--device {device} was given with --executor {executor} --workers {workers}; "
+                "expected cpu, since the processes that run the scenes have no other device. "
+                "Leave one of them out."
+            )
     settings = ProtocolSettings(
         protocol=protocol, scenes=scenes, samples=samples, drawn=drawn, returned=returned,
         judged=judged, possible_only=protocol == "binpick" and not count_all, friction=friction,
@@ -141,7 +160,7 @@ def evaluation(
 
         result = evaluate(
             settings, executing, planner, pool, usable, objects=place, planned_for=loaded.name,
-            on_scene=tell,
+            executor=spread, on_scene=tell,
         )  # fmt: skip
     content = result.to_json()
     for key in ("first", "first_all", "filtered", "unfiltered", "judged"):

@@ -6,6 +6,7 @@ from .finetune import FEW, FinetuneConfig, FinetuneResult, finetune
 from .given_grasps import GivenGrasp, GivenScene, doubt, given_scene
 from .loop import TrainingJob, TrainingRun, resume_training, train
 from .losses import scene_losses
+from .processes import Team
 from .rack import GripperRack
 from .scenes import (
     PoseTable,
@@ -31,6 +32,7 @@ __all__ = [
     "PoseTable",
     "SceneBatch",
     "SceneSource",
+    "Team",
     "TrainConfig",
     "TrainingEntry",
     "TrainingJob",
