@@ -23,7 +23,15 @@ LAYERS = (
     {"grippers", "objects", "pointcloud"},
     {"ranking", "diffusion", "network", "storage", "simulation"},
     {"cell", "drawing", "synthesizer", "scenes", "library"},
-    {"evaluation", "training", "self_labelling", "gripper_tools", "benchmarks", "service"},
+    {
+        "evaluation",
+        "training",
+        "self_labelling",
+        "gripper_tools",
+        "benchmarks",
+        "service",
+        "explanation",
+    },
     {"viewer"},
     {"cli"},
 )
