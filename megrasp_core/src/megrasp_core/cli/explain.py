@@ -46,7 +46,7 @@ def explain(
     if explanation.answer is not None:
         report(explanation.answer)
     for cause in explanation.causes:
-        say(f"cause: {cause}")
+        say(f"- {cause}")
     say(f"wrote {page}")
     if explanation.refusal:
         return 2

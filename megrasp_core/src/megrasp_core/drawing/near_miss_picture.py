@@ -13,6 +13,7 @@ from megrasp_core.grippers import Gripper, body_poses
 from megrasp_core.pointcloud import Cloud, OrientedBox
 from megrasp_core.ranking import PointState
 
+from .grasp_picture import hides_inside, splat_radius
 from .splat import Canvas, Projection, height_colours, look_along, segment_points, surface_samples
 
 if TYPE_CHECKING:
@@ -26,6 +27,8 @@ PANEL = (520, 470)
 HEADER = 56
 REACH = 0.13
 """Half the edge of the picture (m)."""
+CUT = 0.03
+"""What stands so far before the TCP is left out of the level view (m)."""
 MAX_POINTS = 120_000
 GRIPPER = np.array([0.55, 0.63, 0.78])
 MARKS = {
@@ -77,17 +80,21 @@ def save_near_miss_picture(
     samples = samples @ world_from_gripper[:3, :3].T + world_from_gripper[:3, 3]
     scene, colours = _near(cloud, centre, reach, up)
     panels = []
-    for rotation in _views(world_from_gripper, up):
+    for level, rotation in enumerate(_views(world_from_gripper, up)):
         view = Projection(rotation, centre, 0.5 * min(PANEL) / reach, PANEL)
         canvas = Canvas(view)
-        radius = float(np.clip(0.7 * np.sqrt(np.prod(PANEL) / max(len(scene), 1)), 1.0, 4.0))
-        canvas.draw(scene, colours, radius)
+        # The level view is cut open before the gripper, the other one where walls hide the inside.
+        depth = (scene - tcp) @ rotation[2]
+        keep = depth > (-CUT if level else -np.inf)
+        if region is not None and not level:
+            keep &= ~hides_inside(scene, region, view)
+        canvas.draw(scene[keep], colours[keep], 1.3 * splat_radius(scene, view))
         canvas.fill()
         behind = canvas.copy()
         canvas.draw(samples, GRIPPER, 1.0)
         canvas.shade()
         behind.shade()
-        canvas.colour = 0.6 * canvas.colour + 0.4 * behind.colour
+        canvas.colour = 0.65 * canvas.colour + 0.35 * behind.colour
         if region is not None:
             _draw_edges(canvas, region.upright(up))
         for kind, (_, colour) in MARKS.items():
@@ -149,6 +156,8 @@ def _sheet(
     for index, panel in enumerate(panels):
         sheet.paste(panel, (index * (width + 4), HEADER))
     left = 10
+    if any((state == kind).any() for kind in MARKS):
+        draw.rectangle([0, HEADER + height - 26, width, HEADER + height], fill="white")
     for kind, (name, colour) in MARKS.items():
         if not (state == kind).any():
             continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,8 +35,11 @@ LOW = 0.010
 """Over the floor (m): where this is unknown, nothing is known of what stands there."""
 STEM = 0.05
 """Length of the line that shows where a pose comes from (m)."""
-NUMBERED = 10
-FLOOR, UNKNOWN, OUTSIDE = (0.80, 0.87, 0.93), (0.76, 0.66, 0.86), (0.97, 0.97, 0.97)
+NUMBERED = 6
+BAR = 0.03
+"""Length of the bar of a grasp without a width (m)."""
+FLOOR, BELOW = (0.80, 0.87, 0.93), (0.85, 0.55, 0.50)
+UNKNOWN, OUTSIDE = (0.76, 0.66, 0.86), (0.97, 0.97, 0.97)
 FOUND = "#0a7d4f"
 
 
@@ -63,6 +67,7 @@ def save_synthesis_map(
     grasps: Sequence[RankedGrasp] = (),
     found: OrientedBox | None = None,
     title: str = "",
+    lines: Sequence[str] = (),
 ) -> Path:
     """Write the map to a PNG; missing folders are made.
 
@@ -78,19 +83,20 @@ def save_synthesis_map(
         grasps: returned, best first, in the frame of the trace plus its offset.
         found: inside of the bin that the cloud shows.
         title: first line.
+        lines: sentences to stand in the picture.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     plan = _plan(cloud, request, trace)
-    figure = Figure(figsize=(15.0, 10.5), dpi=100)
+    figure = Figure(figsize=(15.0, 13.0), dpi=90)
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(
-        2, 2, height_ratios=(3, 1.35), left=0.05, right=0.985, top=0.90, bottom=0.06,
-        hspace=0.24, wspace=0.12,
+        2, 2, height_ratios=(3, 2), left=0.05, right=0.985, top=0.92, bottom=0.05,
+        hspace=0.28, wspace=0.12,
     )  # fmt: skip
     seen, drawn = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
-    side = figure.add_subplot(grid[1, :])
+    side, words = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1])
     picture, low, high = _heights(cloud, plan, trace)
     extent = (plan.low[0], plan.high[0], plan.low[1], plan.high[1])
     seen.imshow(picture, origin="lower", extent=extent, interpolation="nearest")
@@ -114,6 +120,9 @@ def save_synthesis_map(
         )
     drawn.set_xlim(plan.low[0], plan.high[0])
     drawn.set_ylim(plan.low[1], plan.high[1])
+    words.axis("off")
+    text = "\n\n".join(textwrap.fill(line, 84) for line in lines)
+    words.text(0.0, 1.0, text, va="top", fontsize=12, transform=words.transAxes)
     figure.suptitle(title, x=0.05, y=0.975, ha="left", fontsize=14)
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -175,8 +184,9 @@ def _heights(
         floor = float(np.percentile(top[known], 2)) if known.any() else 0.0
     height = np.where(known, top - floor, 0.0)
     high = max(float(np.percentile(height[known], 99)) if known.any() else 0.0, 0.03)
-    picture = height_colours(height / high)
+    picture = height_colours((height / high).ravel()).reshape(rows, columns, 3)
     picture[np.abs(height) < ON_FLOOR] = FLOOR
+    picture[height <= -ON_FLOOR] = BELOW
     picture[~known] = OUTSIDE
     if trace is not None:
         y, x = np.mgrid[0:rows, 0:columns]
@@ -270,11 +280,11 @@ def _draw_poses(above: Any, side: Any, plan: _Plan, trace: Trace) -> None:
 def _draw_grasps(axes: Any, plan: _Plan, grasps: Sequence[RankedGrasp], trace: Trace) -> None:
     for rank, grasp in reversed(list(enumerate(grasps, start=1))):
         pose = grasp.world_from_tcp
-        width = grasp.opening if np.isfinite(grasp.opening) else 0.05
+        width = grasp.width if np.isfinite(grasp.width) else BAR
         ends = pose[:3, 3] - trace.offset + np.outer([-0.5, 0.5], width * pose[:3, 0])
         at = plan.at(ends)
-        axes.plot(at[:, 0], at[:, 1], color="black", linewidth=5.0, zorder=4)
-        axes.plot(at[:, 0], at[:, 1], color=RETURNED, linewidth=3.0, zorder=5)
+        axes.plot(at[:, 0], at[:, 1], color="black", linewidth=4.5, zorder=4)
+        axes.plot(at[:, 0], at[:, 1], color=RETURNED, linewidth=2.5, zorder=5)
         if rank <= NUMBERED:
             axes.annotate(
                 f"{rank}: {grasp.score:.2f}", at.mean(axis=0)[:2], xytext=(5, 5),
@@ -289,7 +299,7 @@ def _height_legend(
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    handles = [Patch(color=FLOOR, label="floor")]
+    handles = [Patch(color=BELOW, label="below the floor"), Patch(color=FLOOR, label="floor")]
     handles += [
         Patch(
             color=tuple(height_colours(np.array([share]))[0]),
@@ -305,7 +315,7 @@ def _height_legend(
         handles.append(
             Line2D([], [], color=FOUND, linestyle="--", linewidth=2.5, label="bin in the cloud")
         )
-    axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=4,
+    axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=4,
                 fontsize=10, frameon=False)  # fmt: skip
 
 
@@ -319,5 +329,5 @@ def _reason_legend(axes: Any, trace: Trace) -> None:
                label=f"{reason or 'returned'} {count}")
         for reason, count in counts.most_common()
     ]  # fmt: skip
-    axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=5,
+    axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=4,
                 fontsize=10, frameon=False)  # fmt: skip

@@ -72,6 +72,7 @@ def write_explanation(explanation: Explanation, folder: str | Path, frame: str =
         grasps=explanation.returned,
         found=explanation.setup.found,
         title=_headline(explanation),
+        lines=[f"{number}. {text}" for number, text in enumerate(explanation.causes[:4], 1)],
     )
     counts = _counts(explanation)
     for miss in explanation.misses:

@@ -129,7 +129,9 @@ def _differences(box: OrientedBox, region: OrientedBox, up: FloatArray) -> list[
         told.append(f"has its floor {1000 * abs(low):.0f} mm {where} the region's bottom")
     if not told:
         return []
-    pose = ", ".join(f"{value:.4f}" for value in pose7_from_matrix(box.world_from_box))
+    pose = ", ".join(
+        f"{round(value, 4) + 0.0:g}" for value in pose7_from_matrix(box.world_from_box)
+    )
     size = ", ".join(f"{edge:.3f}" for edge in box.size)
     return [
         f"the bin that the cloud shows {', '.join(told)}: the region is in the wrong place. It "

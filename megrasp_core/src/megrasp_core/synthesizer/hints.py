@@ -68,7 +68,7 @@ def hints(
         elif name in _ADVICE:
             text = _ADVICE[name].format(
                 request=request,
-                tilt=float(np.nanmin(tilt)) if np.isfinite(tilt).any() else np.nan,
+                tilt=float(np.nanmin(tilt, initial=np.inf)) - (request.max_tilt or 0.0),
                 score=float(score.max()),
                 width="the gripper"
                 if probe.max_width is None
@@ -127,21 +127,23 @@ def _collisions(
             "floor too high? Check floor, region and gravity if objects are high."
         )
         told.append((_poses(floor), text))
-    body = state == PointState.INSIDE
+    wall, body = state == PointState.WALL, state == PointState.INSIDE
+    if observation.walls:
+        place = observation.box_coordinates(points).reshape(len(gripper), -1, 3)
+        # The walls are seen bodies too.
+        at_wall = body & (np.abs(place) > observation.half - CLEARLY)[..., :2].any(axis=-1)
+        wall, body = wall | at_wall, body & ~at_wall
+        for axis, name in enumerate(AXES):
+            told += _walls(place[..., axis], wall, float(observation.half[axis]), name)
     if body.any():
         text = "are inside what was seen: too little room for this gripper among the objects."
         told.append((_poses(body), text))
-    wall = state == PointState.WALL
-    if wall.any():
-        place = observation.box_coordinates(points).reshape(len(gripper), -1, 3)
-        for axis, name in enumerate(AXES):
-            told += _walls(place[..., axis], wall, float(observation.half[axis]), name)
     return told
 
 
 def _walls(place: np.ndarray, wall: np.ndarray, half: float, axis: str) -> list[tuple[int, str]]:
     """Hits (N, P) of the two walls across an axis of the region, `place` (N, P) along it (m)."""
-    sides = [(sign, wall & (sign * place > half)) for sign in (-1.0, 1.0)]
+    sides = [(sign, wall & (sign * place > half - CLEARLY)) for sign in (-1.0, 1.0)]
     both = sides[0][1].any(axis=1) & sides[1][1].any(axis=1)
     told = []
     if both.any():
@@ -193,8 +195,8 @@ def _outside(observation: SceneObservation, tcp: np.ndarray) -> str:
     side = ("beyond its -x side", "beyond its -y side", "below its bottom",
             "beyond its +x side", "beyond its +y side")[most]  # fmt: skip
     return (
-        f"lie beside or below the region, most of them {side}, half of those by more than "
-        f"{by:.0f} mm. Is it too small, or in the wrong place?"
+        f"lie beside or below the region, most of them {side}, half of those by {by:.0f} mm or "
+        "more. Is it too small, or in the wrong place?"
     )
 
 
