@@ -299,7 +299,10 @@ def _height_legend(
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    handles = [Patch(color=BELOW, label="below the floor"), Patch(color=FLOOR, label="floor")]
+    handles: list[Any] = [
+        Patch(color=BELOW, label="below the floor"),
+        Patch(color=FLOOR, label="floor"),
+    ]
     handles += [
         Patch(
             color=tuple(height_colours(np.array([share]))[0]),

@@ -103,7 +103,7 @@ def _bin_at(cloud: Cloud, request: SynthesisRequest, region: OrientedBox) -> Ori
     depth = max(float((top - bottom) @ box.rotation[:, 2]), 0.01)
     pose = box.world_from_box.copy()
     pose[:3, 3] = top - box.rotation[:, 2] * depth / 2
-    return OrientedBox(pose, [*box.size[:2], depth])
+    return OrientedBox(pose, np.array([*box.size[:2], depth]))
 
 
 def _differences(box: OrientedBox, region: OrientedBox, up: FloatArray) -> list[str]:
@@ -134,8 +134,8 @@ def _differences(box: OrientedBox, region: OrientedBox, up: FloatArray) -> list[
     )
     size = ", ".join(f"{edge:.3f}" for edge in box.size)
     return [
-        f"the bin that the cloud shows {', '.join(told)}: the region is in the wrong place. It "
-        f"fits with pose [{pose}] and size [{size}] (megrasp bin find)."
+        f"the bin that the cloud shows {', '.join(told)}: the region does not fit it. Give "
+        f"pose [{pose}] and size [{size}], or what megrasp bin find writes."
     ]
 
 

@@ -131,7 +131,8 @@ def _collisions(
     if observation.walls:
         place = observation.box_coordinates(points).reshape(len(gripper), -1, 3)
         # The walls are seen bodies too.
-        at_wall = body & (np.abs(place) > observation.half - CLEARLY)[..., :2].any(axis=-1)
+        near_wall = np.abs(place[..., :2]) - observation.half[:2] > -CLEARLY
+        at_wall = body & near_wall.any(axis=-1)
         wall, body = wall | at_wall, body & ~at_wall
         for axis, name in enumerate(AXES):
             told += _walls(place[..., axis], wall, float(observation.half[axis]), name)
