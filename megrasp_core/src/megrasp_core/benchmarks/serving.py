@@ -4,6 +4,8 @@ bench --stage serve`).
 
 from __future__ import annotations
 
+import contextlib
+import os
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -13,7 +15,7 @@ import numpy as np
 
 from megrasp_core.evaluation.report import hardware
 from megrasp_core.lie import pose7_from_matrix
-from megrasp_core.service import PlannerClient, PlannerServer
+from megrasp_core.service import PlannerClient, PlannerError, PlannerServer
 from megrasp_core.synthesizer import GraspSynthesizer
 
 from .synthesis import CASES, BenchCase, bench_cloud
@@ -37,8 +39,9 @@ def bench_serving(
         on_progress: called with pairs done and in all.
 
     Returns:
-        Content of the result file: per row the seconds of a request, of the call in the process,
-        and of the request beyond the call (median of the pairs); the seconds of a status.
+        Content of the result file, seconds and CPU-seconds of the process (server and client are
+        both in it): per row a request, the call in the process, and the request beyond the call;
+        `transport`: a request with the whole cloud that is refused once it was read; a status.
     """
     cloud, region = bench_cloud()
     points = cloud.points.astype(np.float32)
@@ -69,7 +72,7 @@ def bench_serving(
                     pairs.append((asked, direct))
                 if on_progress is not None:
                     on_progress(place * (repeats + 1) + repeat + 1, len(cases) * (repeats + 1))
-            asked, direct = np.array(pairs).T
+            asked, direct = np.array(pairs).swapaxes(0, 1)
             rows.append(
                 {
                     "mode": case.mode,
@@ -80,7 +83,14 @@ def bench_serving(
                     "beyond": _spread(asked - direct),
                 }
             )
-        status = [_seconds(client.status) for _ in range(20)]
+        away = {**box, "pose": [100.0, *box["pose"][1:]]}
+
+        def refused() -> None:
+            with contextlib.suppress(PlannerError):
+                client.synthesize(points, sensor=cloud.viewpoint, region=away)
+
+        transport = np.array([_seconds(refused) for _ in range(10)])
+        status = np.array([_seconds(client.status) for _ in range(20)])
     finally:
         server.stop()
         thread.join()
@@ -93,17 +103,26 @@ def bench_serving(
         "body_mb": round(points.nbytes / 1e6, 2),
         "repeats": repeats,
         "rows": rows,
+        "transport": _spread(transport),
         "status": _spread(status),
         "hardware": hardware(),
+        "load": round(os.getloadavg()[0], 1),
     }
 
 
-def _seconds(call: Callable[[], object]) -> float:
-    start = time.perf_counter()
+def _seconds(call: Callable[[], object]) -> tuple[float, float]:
+    """Seconds and CPU-seconds of this process."""
+    start, cpu = time.perf_counter(), time.process_time()
     call()
-    return time.perf_counter() - start
+    return time.perf_counter() - start, time.process_time() - cpu
 
 
-def _spread(values: Sequence[float] | np.ndarray) -> dict[str, float]:
-    low, middle, high = (float(np.percentile(values, q)) for q in (0, 50, 100))
-    return {"min": round(low, 4), "median": round(middle, 4), "max": round(high, 4)}
+def _spread(pairs: np.ndarray) -> dict[str, dict[str, float]]:
+    """Of N pairs of seconds and CPU-seconds (N, 2)."""
+    return {
+        name: {
+            which: round(float(np.percentile(values, q)), 4)
+            for which, q in (("min", 0), ("median", 50), ("max", 100))
+        }
+        for name, values in zip(("seconds", "cpu_seconds"), pairs.T, strict=True)
+    }

@@ -88,7 +88,7 @@ def save_synthesis_map(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    plan = _plan(cloud, request, trace)
+    plan = _plan(cloud, request, trace, found)
     figure = Figure(figsize=(15.0, 13.0), dpi=90)
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(
@@ -121,7 +121,7 @@ def save_synthesis_map(
     drawn.set_xlim(plan.low[0], plan.high[0])
     drawn.set_ylim(plan.low[1], plan.high[1])
     words.axis("off")
-    text = "\n\n".join(textwrap.fill(line, 84) for line in lines)
+    text = "\n\n".join(textwrap.fill(line, 70) for line in lines)
     words.text(0.0, 1.0, text, va="top", fontsize=12, transform=words.transAxes)
     figure.suptitle(title, x=0.05, y=0.975, ha="left", fontsize=14)
     path = Path(path)
@@ -130,7 +130,9 @@ def save_synthesis_map(
     return path
 
 
-def _plan(cloud: Cloud, request: SynthesisRequest, trace: Trace | None) -> _Plan:
+def _plan(
+    cloud: Cloud, request: SynthesisRequest, trace: Trace | None, found: OrientedBox | None
+) -> _Plan:
     points = cloud.finite().points
     if request.gravity is not None:
         up = -np.asarray(request.gravity, dtype=np.float64)
@@ -143,6 +145,10 @@ def _plan(cloud: Cloud, request: SynthesisRequest, trace: Trace | None) -> _Plan
         rotation, centre, half = box.rotation.T, box.centre, box.size / 2
         low, high = -half - AROUND, half + AROUND
         floor: float | None = -half[2] if request.walls else None
+        if found is not None:
+            corners = (found.corners() - centre) @ rotation.T
+            low = np.minimum(low, corners.min(axis=0) - 0.02)
+            high = np.maximum(high, corners.max(axis=0) + 0.02)
     else:
         aside = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
         x = aside - (aside @ up) * up
