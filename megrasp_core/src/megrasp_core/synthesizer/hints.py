@@ -145,7 +145,7 @@ def _collisions(
 def _walls(place: np.ndarray, wall: np.ndarray, half: float, axis: str) -> list[tuple[int, str]]:
     """Hits (N, P) of the two walls across an axis of the region, `place` (N, P) along it (m)."""
     sides = [(sign, wall & (sign * place > half - CLEARLY)) for sign in (-1.0, 1.0)]
-    both: np.ndarray = np.stack([hits.any(axis=1) for _, hits in sides]).all(axis=0)
+    both = np.logical_and.reduce([hits.any(axis=1) for _, hits in sides])
     told = []
     if both.any():
         ends = np.where(wall[both], place[both], np.nan)
