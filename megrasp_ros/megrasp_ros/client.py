@@ -226,10 +226,13 @@ class GraspClient:
         request = SetGripper.Request(gripper_name=name, dry_run=dry_run)
         return self._caller.call(SetGripper, "set_gripper", request).gripper
 
+    def list_grippers(self) -> ListGrippers.Response:
+        """The registered grippers and which is active."""
+        return self._caller.call(ListGrippers, "list_grippers", ListGrippers.Request())
+
     def grippers(self) -> dict[str, GripperInfo]:
         """Name -> description of the registered grippers."""
-        answer = self._caller.call(ListGrippers, "list_grippers", ListGrippers.Request())
-        return {info.name: info for info in answer.grippers}
+        return {info.name: info for info in self.list_grippers().grippers}
 
     def reload_grippers(self) -> ReloadGrippers.Response:
         """Let the server read its gripper folders again."""
