@@ -69,6 +69,10 @@ class Caller:
             )
         return self._clients[name]
 
+    def full_name(self, name: str) -> str:
+        """The name with its namespace, after remapping."""
+        return self.node.resolve_service_name(self.prefix + name)
+
     def appear(self, what: str, wait: Callable[..., bool], timeout: float) -> None:
         """Wait for a service or an action (`wait`) to be there.
 
@@ -91,7 +95,7 @@ class Caller:
         """The answer of a service. Raises GraspServerError, for answers that are errors, too."""
         client = self.service(kind, name)
         self._must_spin()
-        what = f"service {client.srv_name}"
+        what = f"service {self.full_name(name)}"
         self.appear(what, client.wait_for_service, self.timeout)
         answer = send_in_executor(self.node, lambda: client.call_async(request), self.timeout)
         if answer is None:
@@ -115,7 +119,7 @@ class Caller:
         """
         client = self.action(kind, name)
         self._must_spin()
-        what = f"action {self.node.resolve_topic_name(self.prefix + name)}"
+        what = f"action {self.full_name(name)}"
         self.appear(what, client.wait_for_server, self.timeout)
         failed: list[Exception] = []
 

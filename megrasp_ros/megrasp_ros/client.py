@@ -172,7 +172,7 @@ class GraspClient:
             services.append((ChangeTool, "change_tool", "the cell"))
         for kind, name, whose in services:
             client = caller.service(kind, name)
-            what = f"service {client.srv_name} ({whose})"
+            what = f"service {caller.full_name(name)} ({whose})"
             caller.appear(what, client.wait_for_service, end - time.monotonic())
         if cell:
             execute = caller.action(ExecuteGrasp, "execute_grasp")

@@ -33,7 +33,7 @@ def doctor(
         server: name of its node.
         points: topic that the server's `points` is remapped to.
         seconds: how long topics are listened to.
-        timeout: longest wait for an answer (s).
+        timeout: longest wait (s) for nodes to be found and for answers.
         out: file with the lines (JSON).
 
     Returns:
@@ -49,7 +49,7 @@ def doctor(
     ]
     name = f"megrasp_doctor_{os.getpid()}"
     with GraspClient.open(name, namespace=namespace, timeout=timeout) as client:
-        asked = ServerChecks(client, server, points, seconds)
+        asked = ServerChecks(client, server, points, seconds, timeout)
         running = asked.run()
     checks.append(machine.profile(os.environ, cloud_bytes=asked.cloud_bytes))
     checks += running

@@ -48,11 +48,21 @@ class Sample:
 
 
 class ServerChecks:
-    """The checks, each of which returns its lines; later ones use what earlier ones found."""
+    """The checks, each of which returns its lines; later ones use what earlier ones found.
 
-    def __init__(self, client: GraspClient, server: str, points: str, seconds: float) -> None:
+    Args:
+        client: in the namespace of the server.
+        server: name of its node.
+        points: topic that clouds are expected on.
+        seconds: how long topics are listened to.
+        patience: longest wait (s) for nodes and topics to be discovered.
+    """
+
+    def __init__(
+        self, client: GraspClient, server: str, points: str, seconds: float, patience: float
+    ) -> None:
         self._client, self._node = client, client.node
-        self._server, self._seconds = server, seconds
+        self._server, self._seconds, self._patience = server, seconds, patience
         self._points = self._node.resolve_topic_name(points)
         self._settings: Settings | None = None
         self._cloud: PointCloud2 | None = None
@@ -76,9 +86,7 @@ class ServerChecks:
             nodes = self._node.get_node_names_and_namespaces()
             return [place for name, place in nodes if name == self._server]
 
-        end = time.monotonic() + self._seconds
-        while namespace not in named() and time.monotonic() < end:
-            self._pause(0.1)
+        self._until(lambda: namespace in named(), self._patience)
         places = named()
         if namespace not in places:
             return [Check("server", "fail", self._absence(namespace, places))]
@@ -131,7 +139,7 @@ class ServerChecks:
             heard.extend(status for status in message.status if status.name == full)
 
         self._node.create_subscription(DiagnosticArray, "/diagnostics", take, 10)
-        self._until(lambda: bool(heard), self._seconds)
+        self._until(lambda: bool(heard), self._patience)
         if not heard:
             return [Check("health", "warn", f"nothing of {full} on /diagnostics; is it stuck?")]
         status = heard[-1]
@@ -163,11 +171,10 @@ class ServerChecks:
             listened = []
         # While it is subscribed, the server itself tells which topic it was remapped to.
         topic = next((name for name, kinds in listened if CLOUD in kinds), self._points)
-        self._until(lambda: bool(self._node.get_publishers_info_by_topic(topic)), self._seconds)
+        self._until(lambda: bool(self._node.get_publishers_info_by_topic(topic)), self._patience)
         publishers = self._node.get_publishers_info_by_topic(topic)
         if not publishers:
-            topics = self._node.get_topic_names_and_types()
-            others = sorted(name for name, kinds in topics if CLOUD in kinds and name != topic)
+            others = self._other_clouds(topic)
             hint = (
                 f"; clouds are on {', '.join(others[:5])}: start the server with -r "
                 f"points:={others[0]}, and doctor with --points {others[0]}"
@@ -197,6 +204,19 @@ class ServerChecks:
         self.cloud_bytes = max(sample.sizes)
         self._cloud = deserialize_message(sample.last, PointCloud2)
         return [self._rate(topic, sample), self._age(self._cloud)]
+
+    def _other_clouds(self, topic: str) -> list[str]:
+        """Topics with clouds that somebody else than the server publishes."""
+        return sorted(
+            name
+            for name, kinds in self._node.get_topic_names_and_types()
+            if CLOUD in kinds
+            and name != topic
+            and any(
+                info.node_name != self._server
+                for info in self._node.get_publishers_info_by_topic(name)
+            )
+        )
 
     def _rate(self, topic: str, sample: Sample) -> Check:
         rate = len(sample.sizes) / sample.seconds

@@ -24,7 +24,7 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_synthesize_a_stored_cloud(server: Client, tmp_path: Path, capsys) -> None:
-    write_cloud(Cloud(table_points()), tmp_path / "cloud.ply")
+    write_cloud(tmp_path / "cloud.ply", Cloud(table_points()))
     (tmp_path / "bin.yaml").write_text("pose: [0, 0, 0.1, 0, 0, 0, 1]\nsize: [0.5, 0.4, 0.3]\n")
     out = tmp_path / "grasps.json"
     code = run(

@@ -21,12 +21,14 @@ from megrasp_ros.qos import SENSOR
 FOUND = dict[str, tuple[str, str]]
 
 
-def looked_at(offset: int = 1, *, points: str = "points", namespace: str = "") -> FOUND:
+def looked_at(
+    offset: int = 1, *, points: str = "points", namespace: str = "", patience: float = 20.0
+) -> FOUND:
     """What -> level and text."""
     with GraspClient.open(
         "doctor", domain_id=own_domain(offset), namespace=namespace, timeout=20.0
     ) as client:
-        checks = ServerChecks(client, "grasp_server", points, 2.0).run()
+        checks = ServerChecks(client, "grasp_server", points, 2.0, patience).run()
     return {check.what: (check.level, check.text) for check in checks}
 
 
@@ -54,7 +56,9 @@ def test_all_is_well(server: Client, monkeypatch, capsys, tmp_path) -> None:
         assert not troubles(found), found
         assert "active" in found["server"][1] and "robotiq_2f85" in found["health"][1]
         assert "/points: " in found["points"][1] and " MB" in found["points"][1]
-        code = run(["doctor", "--seconds", "2", "--out", str(tmp_path / "doctor.json")])
+        code = run(
+            ["doctor", "--seconds", "2", "--timeout", "30", "--out", str(tmp_path / "doctor.json")]
+        )
         told = capsys.readouterr().out
     assert code == (1 if "\nfail " in f"\n{told}" else 0)
     for what in ("packages", "shared memory", "domain", "discovery", "Fast DDS", "gravity"):
@@ -63,19 +67,19 @@ def test_all_is_well(server: Client, monkeypatch, capsys, tmp_path) -> None:
 
 
 def test_no_server_at_all_and_one_elsewhere() -> None:
-    found = looked_at(6)
+    found = looked_at(6, patience=1.0)
     assert found["server"][0] == "fail" and "no other node is seen" in found["server"][1]
     assert found["points"][0] == "fail"
     with spinning_node(own_domain(6), "camera"):
-        assert "but /camera; start it" in looked_at(6)["server"][1]
+        assert "but /camera; start it" in looked_at(6, patience=5.0)["server"][1]
     with spinning_node(own_domain(6), "grasp_server"):
-        found = looked_at(6, namespace="/cell_2")
+        found = looked_at(6, namespace="/cell_2", patience=5.0)
         assert found["server"] == (
             "fail", "no grasp_server in namespace /cell_2, but in /; give --namespace /"
         )  # fmt: skip
         # It is there and no lifecycle node.
         with GraspClient.open("doctor", domain_id=own_domain(6), timeout=0.5) as client:
-            (line,) = ServerChecks(client, "grasp_server", "points", 1.0).server()
+            (line,) = ServerChecks(client, "grasp_server", "points", 1.0, 20.0).server()
         assert line.level == "fail" and "does not tell its state" in line.text
 
 
@@ -114,10 +118,10 @@ def test_what_the_server_says_of_itself(server: Client) -> None:
 
 
 def test_no_cloud_where_the_server_looks(server: Client) -> None:
-    assert "nobody publishes /points; start the camera" in looked_at()["points"][1]
+    assert "nobody publishes /points; start the camera" in looked_at(patience=5.0)["points"][1]
     elsewhere = server.node.create_publisher(PointCloud2, "camera/points", SENSOR)
     try:
-        level, text = looked_at()["points"]
+        level, text = looked_at(patience=5.0)["points"]
         assert level == "fail" and "points:=/camera/points" in text
         # A publisher that publishes nothing.
         level, text = looked_at(points="camera/points")["points"]
