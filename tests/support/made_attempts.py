@@ -13,7 +13,7 @@ from megrasp_core.storage import Attempt
 NAME = "robotiq_2f85"
 
 
-def box_on_a_table(seed: int = 0, count: int = 6000) -> np.ndarray:
+def box_on_a_table(seed: int = 0, count: int = 4000) -> np.ndarray:
     """Points (N, 3) of a table of 40 x 30 cm at z = 0 and the top of a box of 4 x 6 x 5 cm at x =
     5 cm, noise of 0.5 mm.
     """
@@ -27,11 +27,19 @@ def box_on_a_table(seed: int = 0, count: int = 6000) -> np.ndarray:
 
 
 def made_attempt(
-    time: int = 1, *, gripper: Gripper | None = None, height: float = 0.03, **changes: Any
+    time: int = 1,
+    *,
+    gripper: Gripper | None = None,
+    height: float = 0.03,
+    tilt: float = 0.0,
+    **changes: Any,
 ) -> Attempt:
-    """An attempt at the box with the TCP at this height over the table (m)."""
+    """An attempt at the box with the TCP at this height over the table (m), tilted (rad) about
+    the closing axis.
+    """
     gripper = gripper or load_gripper(NAME)
     tcp = np.diag([1.0, -1.0, -1.0, 1.0])
+    tcp[1:3, 1:3] = [[-np.cos(tilt), np.sin(tilt)], [-np.sin(tilt), -np.cos(tilt)]]
     tcp[:3, 3] = 0.05, 0.0, height
     base = tcp @ np.linalg.inv(gripper.gripper_from_tcp)
     above = base.copy()

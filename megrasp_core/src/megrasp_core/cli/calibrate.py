@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from .common import Flag, emit, progress_bar, say
+
+if TYPE_CHECKING:
+    from megrasp_core.evaluation.calibration import JudgedGrasps
+    from megrasp_core.network import GraspModel
+    from megrasp_core.storage import Attempt
 
 __all__ = ["calibrate"]
 
@@ -13,7 +20,8 @@ __all__ = ["calibrate"]
 def calibrate(
     out: Path,
     model: str | None = None,
-    gripper: tuple[str, ...] = ("robotiq_2f85",),
+    gripper: tuple[str, ...] = (),
+    attempts: Path | None = None,
     scenes: int = 20,
     judged: int = 8,
     drawn: int = 100,
@@ -24,15 +32,18 @@ def calibrate(
     """Fit the score to the verdict on the model's own grasps, so that it reads as a probability.
 
     Bins are cleared as in `eval --protocol binpick`, with objects that neither training nor
-    evaluation draws; at every stage the best ranked grasps are judged one by one.
+    evaluation draws; at every stage the best ranked grasps are judged one by one. With --attempts
+    a real cell has judged them (docs/attempts.md), and nothing is simulated.
 
     Try:
       megrasp calibrate --out models/megrasp-small/evaluation/calibration.json --write
+      megrasp calibrate --attempts attempts --model megrasp-small --out calibration.json
 
     Args:
         out: result file (JSON).
         model: id or folder.
-        gripper: names of grippers; one fit for all.
+        gripper: names of grippers, one fit for all; by default robotiq_2f85, and of attempts all.
+        attempts: folder that a cell recorded into, instead of the simulation.
         scenes: bins per gripper.
         judged: grasps judged per stage.
         drawn: poses drawn per synthesis.
@@ -41,18 +52,78 @@ def calibrate(
         seed: of scenes, noise and samples.
     """
     from megrasp_core.evaluation.calibration import calibrate as fit
+    from megrasp_core.network import find_model, load_model, save_model
+
+    extra: dict[str, Any] = {}
+    if attempts is None:
+        parts = _simulated(
+            model, gripper or ("robotiq_2f85",), scenes, judged, drawn, threads, seed
+        )
+        extra = {"seed": seed, "drawn": drawn}
+        what = "left-out bins"
+    else:
+        parts, extra = _recorded(attempts, load_model(model), gripper)
+        what = "left-out attempts"
+    calibration, report = fit(parts)
+    folder = find_model(model)
+    emit({"model": folder.name, **extra, **report}, out)
+    say(
+        f"{sum(len(part.success) for part in parts)} grasps; {what}: log loss "
+        f"{report['held_out']['log_loss']}, AUC {report['held_out']['auc']} (confidence alone: "
+        f"{report['confidence']['log_loss']}, {report['confidence']['auc']})"
+    )
+    if write:
+        loaded_model = load_model(folder)
+        loaded_model.info = dataclasses.replace(loaded_model.info, calibration=calibration)
+        save_model(loaded_model, folder)
+        say(f"wrote the calibration into {folder}")
+    return 0
+
+
+def _recorded(
+    folder: Path, model: GraspModel, grippers: tuple[str, ...]
+) -> tuple[list[JudgedGrasps], dict[str, Any]]:
+    from megrasp_core.evaluation.attempts import judged_attempts
+    from megrasp_core.storage import AttemptFolder
+
+    notes: list[str] = []
+    found = AttemptFolder(folder)
+    with progress_bar(len(found.paths), "attempts") as bar:
+
+        def chosen() -> Iterator[Attempt]:
+            for attempt in found.read_all(notes):
+                bar.update()
+                if not grippers or attempt.gripper in grippers:
+                    yield attempt
+
+        try:
+            parts, quality = judged_attempts(chosen(), model, notes)
+        finally:
+            for note in notes:
+                say(note)
+    return parts, {"attempts": str(folder), "notes": notes, **quality}
+
+
+def _simulated(
+    model: str | None,
+    grippers: tuple[str, ...],
+    scenes: int,
+    judged: int,
+    drawn: int,
+    threads: int | None,
+    seed: int,
+) -> list[JudgedGrasps]:
     from megrasp_core.evaluation.calibration import judged_grasps
     from megrasp_core.evaluation.object_pool import graspable_objects, validation_pool
     from megrasp_core.evaluation.planners import ModelPlanner
     from megrasp_core.evaluation.protocols import ProtocolSettings
     from megrasp_core.grippers import load_gripper
-    from megrasp_core.network import find_model, load_model, save_model
     from megrasp_core.synthesizer import GraspSynthesizer
 
     settings = ProtocolSettings(scenes=scenes, judged=judged, drawn=drawn, seed=seed)
     pool = validation_pool()
     parts = []
-    for name in gripper:
+    for name in grippers:
         loaded = load_gripper(name)
         planner = ModelPlanner(GraspSynthesizer.load(model, loaded, threads=threads))
         usable = graspable_objects(loaded, pool)
@@ -66,17 +137,4 @@ def calibrate(
                     say(f"{done} bins: first {won}/{tried}")
 
             parts.append(judged_grasps(settings, loaded, planner, pool, usable, on_scene=tell))
-    calibration, report = fit(parts)
-    folder = find_model(model)
-    emit({"model": folder.name, "seed": seed, "drawn": drawn, **report}, out)
-    say(
-        f"{sum(len(part.success) for part in parts)} grasps; left-out bins: log loss "
-        f"{report['held_out']['log_loss']}, AUC {report['held_out']['auc']} (confidence alone: "
-        f"{report['confidence']['log_loss']}, {report['confidence']['auc']})"
-    )
-    if write:
-        loaded_model = load_model(folder)
-        loaded_model.info = dataclasses.replace(loaded_model.info, calibration=calibration)
-        save_model(loaded_model, folder)
-        say(f"wrote the calibration into {folder}")
-    return 0
+    return parts
