@@ -32,7 +32,7 @@ FORMAT = 1
 STEP = 1e-4
 """Coordinates of points are kept in steps of this (m), a fifth of the best camera's noise."""
 LIMIT = 2 * 10**9
-"""Bytes of a folder, some 2000 attempts with clouds of 640 x 480."""
+"""Bytes of a folder."""
 OLD = 60.0
 """An unfinished file of this age (s) is nobody's any more."""
 
