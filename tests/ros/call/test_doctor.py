@@ -161,7 +161,7 @@ def test_a_clock_that_stands_still(server: Client) -> None:
         ({}, "", 1.0, "frame", "frame_id is empty"),
         ({"planning_frame": "base"}, "cam", 1.0, "frame", "extrinsics: [x, y, z"),
         ({}, "camera_color_optical_frame", 1.0, "gravity", "gravity: [0.0, 0.0, 1.0]"),
-        ({}, "world", 1000.0, "view", "millimetres"),
+        ({}, "world", 1000.0, "view", "expected metres"),
         ({"gravity": [0.0, 0.0, 1.0]}, "world", 1.0, "view", "points down"),
         ({"region__size": [0.1, 0.1, 0.1], "region__pose": [5.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]},
          "world", 1.0, "region", "no point lies in it"),
