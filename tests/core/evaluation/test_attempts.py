@@ -13,10 +13,11 @@ from made_attempts import NAME, made_attempt
 
 from megrasp_core.cli.app import main
 from megrasp_core.errors import InvalidRequestError
-from megrasp_core.evaluation.attempts import judged_attempts, require_enough
-from megrasp_core.evaluation.calibration import calibrate
+from megrasp_core.evaluation.attempts import judged_attempts, recalibrated, require_enough
+from megrasp_core.evaluation.calibration import JudgedGrasps, calibrate
 from megrasp_core.grippers import load_gripper
-from megrasp_core.network import PRESETS, GraspModel, load_model, save_model
+from megrasp_core.network import PRESETS, GraspModel, ModelInfo, load_model, save_model
+from megrasp_core.ranking import Calibration
 from megrasp_core.self_labelling.attempts import attempt_scene, write_attempt_scenes
 from megrasp_core.storage import AttemptFolder, SceneDataset
 
@@ -64,8 +65,36 @@ def test_the_score_learns_what_fails_in_this_cell(recorded: Path, model: Path, t
     assert report["held_out"]["log_loss"] < report["recorded"]["log_loss"]
     assert report["held_out"]["log_loss"] < report["before"]["log_loss"]
     assert len(report["notes"]) == 1 and "99.npz" in report["notes"][0]
-    kept = load_model(model).info.calibration
+    # A gripper that the model was not trained with takes the calibration for all.
+    kept = load_model(model).info.calibration_for(NAME, "parallel")
     assert kept is not None and kept.tilt == pytest.approx(report["calibration"]["tilt"], abs=1e-3)
+
+
+def test_only_what_was_tried_is_calibrated_anew(model: Path) -> None:
+    info = dataclasses.replace(
+        load_model(model).info,
+        trained_grippers={NAME: "hash", "allegro_hand": "hash"},
+        calibration=Calibration(bias=1.0),
+        calibration_by_kind={"hand": Calibration(bias=2.0)},
+    )
+    kind = load_gripper(NAME).description.kind
+    part = JudgedGrasps(
+        NAME, kind, np.zeros(1), np.zeros((1, 4)), np.zeros(1), np.ones(1, bool), (1, 1)
+    )
+    found = recalibrated(info, [part], Calibration(bias=3.0), {})
+    stranger = dataclasses.replace(part, gripper="own_gripper")
+    other = recalibrated(info, [stranger], Calibration(bias=3.0), {kind: Calibration(bias=4.0)})
+
+    def bias(of: ModelInfo, name: str, kind: str) -> float:
+        calibration = of.calibration_for(name, kind)
+        assert calibration is not None
+        return calibration.bias
+
+    assert bias(found, NAME, kind) == 3.0
+    assert bias(found, "allegro_hand", "hand") == 2.0
+    assert bias(found, "own_gripper", kind) == 1.0
+    assert bias(other, "own_gripper", kind) == 3.0
+    assert bias(other, NAME, kind) == 4.0
 
 
 def test_attempts_with_another_gripper_or_description_are_left_out(model: Path) -> None:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 __all__ = ["calibrate"]
 
+DEFAULT = ("robotiq_2f85", "robotiq_3f", "shadow_dexee")
+
 
 def calibrate(
     out: Path,
@@ -32,8 +34,10 @@ def calibrate(
     """Fit the score to the verdict on the model's own grasps, so that it reads as a probability.
 
     Bins are cleared as in `eval --protocol binpick`, with objects that neither training nor
-    evaluation draws; at every stage the best ranked grasps are judged one by one. With --attempts
-    a real cell has judged them (docs/attempts.md), and nothing is simulated.
+    evaluation draws; hands, which find little in bins, clear tables. At every stage the best
+    ranked grasps are judged one by one. Kinds of grippers with grasps enough get a fit of their
+    own, which grippers of the training take; others take the one for all. With --attempts a real
+    cell has judged the grasps (docs/attempts.md), and nothing is simulated.
 
     Try:
       megrasp calibrate --out models/megrasp-small/evaluation/calibration.json --write
@@ -42,40 +46,46 @@ def calibrate(
     Args:
         out: result file (JSON).
         model: id or folder.
-        gripper: names of grippers, one fit for all; by default robotiq_2f85, and of attempts all.
+        gripper: names of grippers; by default one of each kind, and of attempts all.
         attempts: folder that a cell recorded into, instead of the simulation.
-        scenes: bins per gripper.
+        scenes: bins or tables per gripper.
         judged: grasps judged per stage.
         drawn: poses drawn per synthesis.
         threads: torch threads.
-        write: put the result into the model's config.json, where every synthesis finds it.
+        write: put the result into the model's config.json, where every synthesis finds it; that
+            of attempts for the kinds of grippers that were tried.
         seed: of scenes, noise and samples.
     """
+    from megrasp_core.evaluation.attempts import recalibrated
     from megrasp_core.evaluation.calibration import calibrate as fit
+    from megrasp_core.evaluation.calibration import calibrate_kinds
     from megrasp_core.network import find_model, load_model, save_model
 
+    folder = find_model(model)
     extra: dict[str, Any] = {}
     if attempts is None:
-        parts = _simulated(
-            model, gripper or ("robotiq_2f85",), scenes, judged, drawn, threads, seed
-        )
+        parts = _simulated(model, gripper or DEFAULT, scenes, judged, drawn, threads, seed)
         extra = {"seed": seed, "drawn": drawn}
-        what = "left-out bins"
     else:
-        parts, extra = _recorded(attempts, load_model(model), gripper)
-        what = "left-out attempts"
+        parts, extra = _recorded(attempts, load_model(folder), gripper)
     calibration, report = fit(parts)
-    folder = find_model(model)
-    emit({"model": folder.name, **extra, **report}, out)
+    by_kind, reports = calibrate_kinds(parts)
+    emit({"model": folder.name, **extra, **report, "kinds": reports}, out)
     say(
-        f"{sum(len(part.success) for part in parts)} grasps; {what}: log loss "
+        f"{sum(len(part.success) for part in parts)} grasps; left-out "
+        f"{'scenes' if attempts is None else 'attempts'}: log loss "
         f"{report['held_out']['log_loss']}, AUC {report['held_out']['auc']} (confidence alone: "
         f"{report['confidence']['log_loss']}, {report['confidence']['auc']})"
     )
     if write:
-        loaded_model = load_model(folder)
-        loaded_model.info = dataclasses.replace(loaded_model.info, calibration=calibration)
-        save_model(loaded_model, folder)
+        changed = load_model(folder)
+        if attempts is None:
+            changed.info = dataclasses.replace(
+                changed.info, calibration=calibration, calibration_by_kind=by_kind
+            )
+        else:
+            changed.info = recalibrated(changed.info, parts, calibration, by_kind)
+        save_model(changed, folder)
         say(f"wrote the calibration into {folder}")
     return 0
 
@@ -101,7 +111,7 @@ def _recorded(
         finally:
             for note in notes:
                 say(note)
-    return parts, {"attempts": str(folder), "notes": notes, **quality}
+    return parts, {"attempts": folder.name, "notes": notes, **quality}
 
 
 def _simulated(
@@ -120,11 +130,17 @@ def _simulated(
     from megrasp_core.grippers import load_gripper
     from megrasp_core.synthesizer import GraspSynthesizer
 
-    settings = ProtocolSettings(scenes=scenes, judged=judged, drawn=drawn, seed=seed)
     pool = validation_pool()
     parts = []
     for name in grippers:
         loaded = load_gripper(name)
+        settings = ProtocolSettings(
+            protocol="declutter" if loaded.description.kind == "hand" else "binpick",
+            scenes=scenes,
+            judged=judged,
+            drawn=drawn,
+            seed=seed,
+        )
         planner = ModelPlanner(GraspSynthesizer.load(model, loaded, threads=threads))
         usable = graspable_objects(loaded, pool)
         say(f"{name}: {len(usable)} of {len(pool)} objects can be held")
@@ -134,7 +150,7 @@ def _simulated(
                 bar.update(done - bar.n)
                 bar.set_postfix(first=f"{won}/{tried}")
                 if bar.disable and done % 5 == 0:
-                    say(f"{done} bins: first {won}/{tried}")
+                    say(f"{done} scenes: first {won}/{tried}")
 
             parts.append(judged_grasps(settings, loaded, planner, pool, usable, on_scene=tell))
     return parts

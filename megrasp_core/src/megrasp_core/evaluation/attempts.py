@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from megrasp_core.errors import InvalidRequestError, MegraspError
 from megrasp_core.grippers import load_gripper
-from megrasp_core.network import GraspModel
+from megrasp_core.network import GraspModel, ModelInfo
 from megrasp_core.pointcloud import Cloud
 from megrasp_core.ranking import Calibration, logistic_features
 from megrasp_core.storage import Attempt
@@ -17,7 +18,14 @@ from megrasp_core.synthesizer import GraspSynthesizer
 
 from .calibration import JudgedGrasps, quality
 
-__all__ = ["LEAST", "LEAST_OF_EACH", "attempt_options", "judged_attempts", "require_enough"]
+__all__ = [
+    "LEAST",
+    "LEAST_OF_EACH",
+    "attempt_options",
+    "judged_attempts",
+    "recalibrated",
+    "require_enough",
+]
 
 LEAST = 40
 """Attempts that a calibration needs; it has five weights, and a fifth is left out of each fit."""
@@ -41,7 +49,7 @@ def attempt_options(attempt: Attempt) -> dict[str, Any]:
 
 def judged_attempts(
     attempts: Iterable[Attempt], model: GraspModel, notes: list[str]
-) -> tuple[list[JudgedGrasps], dict[str, dict[str, float]]]:
+) -> tuple[list[JudgedGrasps], dict[str, dict[str, float | None]]]:
     """What the model and the check say of each attempt, with what became of it.
 
     Args:
@@ -66,16 +74,46 @@ def judged_attempts(
             continue
         row = (index // SERIES, features, confidence, attempt.success, attempt.score)
         rows.setdefault(attempt.gripper, []).append(row)
-    joined = [row for part in rows.values() for row in part]
-    success = np.array([row[3] for row in joined], dtype=bool)
+    parts = [_part(name, part) for name, part in sorted(rows.items())]
+    success = np.array([row[3] for name in sorted(rows) for row in rows[name]], dtype=bool)
     require_enough(success, "a calibration")
-    features = np.stack([row[1] for row in joined])
-    present = model.info.calibration or Calibration()
+    present = [
+        (model.info.calibration_for(part.gripper, part.kind) or Calibration()).of_features(
+            part.features
+        )
+        for part in parts
+    ]
+    recorded = np.array([row[4] for name in sorted(rows) for row in rows[name]])
     report = {
-        "recorded": quality(np.array([row[4] for row in joined]), success),
-        "before": quality(present.of_features(features), success),
+        "recorded": quality(recorded, success),
+        "before": quality(np.concatenate(present), success),
     }
-    return [_part(name, part) for name, part in sorted(rows.items())], report
+    return parts, report
+
+
+def recalibrated(
+    info: ModelInfo,
+    parts: Sequence[JudgedGrasps],
+    joint: Calibration,
+    by_kind: Mapping[str, Calibration],
+) -> ModelInfo:
+    """What a model says of itself after it was calibrated for the grippers of `parts`.
+
+    Args:
+        info: of the model; kinds of grippers that were not tried keep their calibration.
+        parts: that were tried.
+        joint: fit to all of them.
+        by_kind: fits to kinds with attempts enough for that.
+    """
+    kinds = dict(info.calibration_by_kind)
+    kinds |= {part.kind: by_kind.get(part.kind, joint) for part in parts}
+    # What the model was not trained with takes the calibration for all.
+    strange = any(part.gripper not in info.trained_grippers for part in parts)
+    return replace(
+        info,
+        calibration=joint if strange or info.calibration is None else info.calibration,
+        calibration_by_kind=kinds,
+    )
 
 
 def require_enough(success: np.ndarray, what: str) -> None:
@@ -121,6 +159,7 @@ def _part(gripper: str, rows: list[tuple[int, np.ndarray, float, bool, float]]) 
     success = np.array([row[3] for row in rows], dtype=bool)
     return JudgedGrasps(
         gripper,
+        load_gripper(gripper).description.kind,
         np.array([row[0] for row in rows], dtype=np.int64),
         np.stack([row[1] for row in rows]),
         np.array([row[2] for row in rows]),
