@@ -211,12 +211,13 @@ def watch(
 def _told(message: GraspArray | GripperInfo) -> str:
     if isinstance(message, GripperInfo):
         return _line(message)
-    if not message.grasps:
+    grasps = list(message.grasps)
+    if not grasps:
         return "none"
     stamp = message.header.stamp
     return (
-        f"{len(message.grasps)} of {message.gripper} in {message.header.frame_id!r}, best "
-        f"{message.grasps[0].score:.2f}, cloud of {stamp.sec}.{stamp.nanosec // 10**6:03d}"
+        f"{len(grasps)} of {message.gripper} in {message.header.frame_id!r}, best "
+        f"{grasps[0].score:.2f}, cloud of {stamp.sec}.{stamp.nanosec // 10**6:03d}"
     )
 
 

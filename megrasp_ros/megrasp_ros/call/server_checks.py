@@ -202,8 +202,9 @@ class ServerChecks:
             )
             return [Check("points", "fail", text)]
         self.cloud_bytes = max(sample.sizes)
-        self._cloud = deserialize_message(sample.last, PointCloud2)
-        return [self._rate(topic, sample), self._age(self._cloud)]
+        cloud: PointCloud2 = deserialize_message(sample.last, PointCloud2)
+        self._cloud = cloud
+        return [self._rate(topic, sample), self._age(cloud)]
 
     def _other_clouds(self, topic: str) -> list[str]:
         """Topics with clouds that somebody else than the server publishes."""
