@@ -87,7 +87,7 @@ class Caller:
             raise ExternalShutdownException
         raise GraspServerError(
             0,
-            f"{what} is not there after {timeout:g} s; start the node that offers it in the same "
+            f"{what} is not there after {timeout:.3g} s; start the node that offers it in the same "
             "namespace and ROS_DOMAIN_ID",
         )
 

@@ -73,7 +73,10 @@ class ServerChecks:
         found = self.server()
         if any(check.level == "fail" for check in found[:1]):
             return [*found, *self.cloud()]
-        found += [*self.health(), *self.parameters(), *self.cloud()]
+        found += [*self.health(), *self.parameters()]
+        # A server that takes depth images has no clouds to look at.
+        depth = getattr(self._settings, "input", "points") == "depth"
+        found += self.images() if depth else self.cloud()
         if self._settings is not None and self._cloud is not None:
             found += self.geometry(self._settings, self._cloud)
         return [*found, *self.listeners()]
@@ -205,6 +208,19 @@ class ServerChecks:
         cloud: PointCloud2 = deserialize_message(sample.last, PointCloud2)
         self._cloud = cloud
         return [self._rate(topic, sample), self._age(cloud)]
+
+    def images(self) -> list[Check]:
+        """Whether somebody publishes depth images and what the camera is like."""
+        topics = [self._node.resolve_topic_name(name) for name in ("depth", "camera_info")]
+
+        def missing() -> list[str]:
+            return [name for name in topics if not self._node.get_publishers_info_by_topic(name)]
+
+        self._until(lambda: not missing(), self._patience)
+        if missing():
+            text = f"nobody publishes {', '.join(missing())}; start the camera, or remap them"
+            return [Check("images", "fail", text)]
+        return [Check("images", "ok", ", ".join(topics))]
 
     def _other_clouds(self, topic: str) -> list[str]:
         """Topics with clouds that somebody else than the server publishes."""

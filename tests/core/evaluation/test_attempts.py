@@ -99,7 +99,8 @@ def test_only_what_was_tried_is_calibrated_anew(model: Path) -> None:
 
 def test_attempts_with_another_gripper_or_description_are_left_out(model: Path) -> None:
     notes: list[str] = []
-    few = [made_attempt(1), made_attempt(2, gripper_hash="other"), made_attempt(3, gripper="gone")]
+    gone = dataclasses.replace(made_attempt(3), gripper="gone")
+    few = [made_attempt(1), made_attempt(2, gripper_hash="other"), gone]
     with pytest.raises(InvalidRequestError, match="1 usable attempts were given, 1 successes"):
         judged_attempts(few, load_model(model), notes)
     assert len(notes) == 2

@@ -9,7 +9,7 @@ import pytest
 from cell_processes import WAIT, in_executor, own_domain, spinning_node, until
 from megrasp_msgs.msg import ErrorCode, GraspArray
 from rclpy.lifecycle import LifecycleNode
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from server_client import Client, camera, cloud_of, still_serves, table_points
 from std_msgs.msg import String
 
@@ -135,6 +135,18 @@ def test_another_type_on_the_topic() -> None:
         talker.create_publisher(String, "points", 1)
         level, text = looked_at(6)["points"]
         assert level == "fail" and "carries std_msgs/msg/String" in text
+
+
+def test_depth_images_and_their_camera() -> None:
+    with (
+        spinning_node(own_domain(6), "camera") as camera,
+        GraspClient.open("doctor", domain_id=own_domain(6)) as client,
+    ):
+        checks = ServerChecks(client, "grasp_server", "points", 1.0, 2.0)
+        camera.create_publisher(Image, "depth", SENSOR)
+        assert checks.images()[0].text.startswith("nobody publishes /camera_info;")
+        camera.create_publisher(CameraInfo, "camera_info", SENSOR)
+        assert until(lambda: checks.images()[0].level == "ok", WAIT)
 
 
 def test_slow_old_and_early_clouds(server: Client) -> None:
