@@ -73,21 +73,23 @@ class Caller:
         """The name with its namespace, after remapping."""
         return self.node.resolve_service_name(self.prefix + name)
 
-    def appear(self, what: str, wait: Callable[..., bool], timeout: float) -> None:
-        """Wait for a service or an action (`wait`) to be there.
+    def appear(
+        self, what: str, wait: Callable[..., bool], timeout: float, *, left: float | None = None
+    ) -> None:
+        """Wait for a service or an action (`wait`) to be there, as long as is `left` of `timeout`.
 
         Raises:
             GraspServerError: it is not.
             ExternalShutdownException: rclpy was shut down meanwhile.
         """
-        if wait(timeout_sec=max(0.01, timeout)):
+        if wait(timeout_sec=max(0.01, timeout if left is None else left)):
             return
         # A wait also ends, without success, when the process is told to end.
         if not self.node.context.ok():
             raise ExternalShutdownException
         raise GraspServerError(
             0,
-            f"{what} is not there after {timeout:.3g} s; start the node that offers it in the same "
+            f"{what} is not there after {timeout:g} s; start the node that offers it in the same "
             "namespace and ROS_DOMAIN_ID",
         )
 

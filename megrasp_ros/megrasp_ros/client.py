@@ -173,11 +173,13 @@ class GraspClient:
         for kind, name, whose in services:
             client = caller.service(kind, name)
             what = f"service {caller.full_name(name)} ({whose})"
-            caller.appear(what, client.wait_for_service, end - time.monotonic())
+            left = end - time.monotonic()
+            caller.appear(what, client.wait_for_service, timeout, left=left)
         if cell:
             execute = caller.action(ExecuteGrasp, "execute_grasp")
             what = "action execute_grasp (the cell)"
-            caller.appear(what, execute.wait_for_server, end - time.monotonic())
+            left = end - time.monotonic()
+            caller.appear(what, execute.wait_for_server, timeout, left=left)
 
     def synthesize(self, num_grasps: int = 20, **fields: Any) -> SynthesizeGrasps.Response:
         """Grasps, best first, with what was rejected and the times.
