@@ -195,7 +195,7 @@ def test_the_confidence_learns_from_attempts(recorded: Path, model: Path, tmp_pa
     out = tmp_path / "heads"
     code = main(
         ["train", "--heads-of", str(model), "--attempts", str(recorded), "--out", str(out),
-         "--total-poses", "1200", "--set", "scenes_per_step=8", "warmup_steps=5",
+         "--total-poses", "640", "--set", "scenes_per_step=8", "warmup_steps=5",
          "learning_rate=0.003", "ema_decay=0.9", "node_sets=1", "gravity_dropout=0.0"]
     )  # fmt: skip
     assert code == 0
