@@ -11,6 +11,7 @@ NODES = {
     "bin_clearing": "clearing.bin_clearing:main",
     "tool_changer": "entry:tool_changer",
     "cloud_replay": "entry:cloud_replay",
+    "megrasp_call": "call.app:main",
 }
 
 setup(

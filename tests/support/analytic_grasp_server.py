@@ -16,7 +16,7 @@ import numpy as np
 import rclpy
 from geometry_msgs.msg import Pose
 from megrasp_msgs.msg import ErrorCode, Grasp, GraspArray
-from megrasp_msgs.srv import SetGripper, SynthesizeGrasps
+from megrasp_msgs.srv import ListGrippers, SetGripper, SynthesizeGrasps
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
@@ -26,6 +26,8 @@ from sensor_msgs.msg import PointCloud2
 from megrasp_core.grippers import load_gripper
 from megrasp_ros.conversions import matrix_from_pose, points_from_cloud, pose_from_matrix
 from megrasp_ros.qos import SENSOR
+from megrasp_ros.server.grasp_messages import gripper_info
+from megrasp_ros.server.parameter_table import TABLE
 
 APPROACH = 0.10
 
@@ -38,7 +40,10 @@ class AnalyticGraspServer(Node):
         self._answers: dict[str, int] = {}
         self._cloud: PointCloud2 | None = None
         self._arrived = threading.Condition()
+        for parameter, spec in TABLE.items():
+            self.declare_parameter(parameter, spec.default)
         group = ReentrantCallbackGroup()
+        self.create_service(ListGrippers, "list_grippers", self._list, callback_group=group)
         self.create_subscription(PointCloud2, "points", self._keep, SENSOR, callback_group=group)
         self.create_service(SetGripper, "set_gripper", self._set, callback_group=group)
         self.create_service(
@@ -56,13 +61,19 @@ class AnalyticGraspServer(Node):
         self.get_logger().info(f"set_gripper {request.gripper_name}")
         return response
 
+    def _list(self, request, response):
+        assert self._gripper is not None
+        response.grippers = [gripper_info(self._gripper, seen_in_training=False)]
+        return response
+
     def _synthesize(self, request, response):
         if self._error:
             response.error_code, response.error_msg = self._error, "as ordered by the test"
             return response
         assert self._gripper is not None, "bin_clearing must call set_gripper first"
         name = self._gripper.name
-        cloud = self._newer_than(request.not_before)
+        given = request.cloud.width > 0
+        cloud = request.cloud if given else self._newer_than(request.not_before)
         response.grasps = GraspArray(header=cloud.header, gripper=name, model_id="analytic")
         count = self._answers[name] = self._answers.get(name, 0) + 1
         excluded = [matrix_from_pose(pose, "exclude")[:3, 3] for pose in request.exclude]
@@ -103,6 +114,7 @@ class AnalyticGraspServer(Node):
             pregrasp=pose_from_matrix(pose),
             tcp=pose_from_matrix(tcp),
             approach=_lifted(pose),
+            retreat=_lifted(pose),
             width=math.nan,
             score=0.5,
             collision_free=True,

@@ -30,11 +30,11 @@ from rclpy.node import Node
 
 from megrasp_core.cell.clearing import ClearingPlan, PickRecord
 from megrasp_core.errors import MegraspError
-from megrasp_ros.client import GraspServerError
+from megrasp_core.storage import AttemptFolder
+from megrasp_ros.client import GraspClient, GraspServerError
 from megrasp_ros.conversions import box_from_message, matrix_from_pose, pose_from_matrix
 from megrasp_ros.spinning import spin
 
-from .client import ClearingClient, SystemFailure
 from .parameters import ClearingParameters, declare_clearing_parameters
 from .pictures import ClearingPictures
 
@@ -44,6 +44,11 @@ TRANSIENT = (ErrorCode.BUSY, ErrorCode.NO_CLOUD, ErrorCode.STALE_CLOUD, ErrorCod
 TRANSIENT_WAIT = 60.0
 RETRY_PERIOD = 0.5
 STALE_IN_A_ROW = 3
+PICTURE_WAIT = 5.0
+
+
+class SystemFailure(Exception):
+    """A part of the system is missing, silent, or refuses what it must be able to do."""
 
 
 class BinClearing:
@@ -52,7 +57,10 @@ class BinClearing:
     def __init__(self, node: Node, parameters: ClearingParameters) -> None:
         self._node = node
         self._parameters = parameters
-        self._client = ClearingClient(node, timeout=parameters.call_timeout)
+        record = None
+        if parameters.record:
+            record = AttemptFolder(parameters.record, limit=parameters.record_limit * 10**6)
+        self._client = GraspClient(node, timeout=parameters.call_timeout, record=record)
         self._out = Path(parameters.out)
         region = box_from_message(parameters.region)
         self._pictures = ClearingPictures(self._out, region) if parameters.pictures else None
@@ -69,15 +77,15 @@ class BinClearing:
         started = time.monotonic()
         failure = ""
         try:
-            self._client.wait_until_ready(self._parameters.ready_timeout)
+            self._client.wait_until_ready(self._parameters.ready_timeout, cell=True)
             while (gripper := self._plan.gripper) is not None:
                 if gripper != self._mounted:
                     self._mount(gripper)
                 self._pick(gripper)
-        except SystemFailure as error:
+        except (SystemFailure, GraspServerError) as error:
             failure = str(error)
             self._plan.stop(f"system failure: {failure}")
-            raise
+            raise SystemFailure(failure) from error
         finally:
             if not self._plan.ended:
                 self._plan.stop("interrupted")
@@ -131,7 +139,7 @@ class BinClearing:
         else:
             grasp = grasps[chosen]
             begun = time.monotonic()
-            result = self._client.execute(answer.grasps.header, answer.grasps.gripper, grasp)
+            result = self._client.execute(answer.grasps, grasp)
             self._not_before = self._node.get_clock().now().to_msg()
             if result.error_code == ErrorCode.STALE_CLOUD and self._stale < STALE_IN_A_ROW:
                 # The scene moved between the picture and the attempt; nothing was tried.
@@ -182,8 +190,10 @@ class BinClearing:
     ) -> str | None:
         if self._pictures is None:
             return None
-        cloud = self._client.cloud_of(answer.grasps.header.stamp)
-        if cloud is None:
+        try:
+            # Nothing has moved since the cloud of the answer.
+            cloud = self._client.newest_cloud(PICTURE_WAIT, after=self._not_before)
+        except GraspServerError:
             return None
         return self._pictures.pick(attempt, cloud, answer.grasps, chosen, gripper)
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -148,7 +148,12 @@ def _paths(value: Any) -> tuple[str, ...]:
 
 def read(node: Node) -> Settings:
     """Return the current values."""
-    values: dict[str, Any] = {name: node.get_parameter(name).value for name in TABLE}
+    return settings_of({name: node.get_parameter(name).value for name in TABLE})
+
+
+def settings_of(parameters: Mapping[str, Any]) -> Settings:
+    """Return the settings of the values of all parameters in the table, by their names."""
+    values = dict(parameters)
     values.pop("autostart")
     size, pose = list(values.pop("region.size")), values.pop("region.pose")
     region = (

@@ -5,8 +5,12 @@ import signal
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from cell_processes import WAIT, Processes, own_domain, processes, save_boxes, until
+
+from megrasp_core.grippers import load_gripper
+from megrasp_core.storage import AttemptFolder
 
 pytestmark = pytest.mark.slow
 
@@ -72,7 +76,8 @@ def test_a_bin_is_emptied_with_two_grippers(cell):
 def test_failed_grasps_are_excluded_and_the_gripper_is_handed_on(cell):
     """The double grasps into the air 2 times per gripper: the third try of each succeeds."""
     start_double(cell, "--fail-first", "2")
-    clearing = start_clearing(cell, pictures="false")
+    record = cell.folder / "attempts"
+    clearing = start_clearing(cell, pictures="false", record=record)
     assert clearing.wait(timeout=WAIT) == 0, cell.logs()
     summary = json.loads((cell.folder / "out" / "summary.json").read_text())
     first = summary["picks"][:3]
@@ -83,6 +88,18 @@ def test_failed_grasps_are_excluded_and_the_gripper_is_handed_on(cell):
     assert "excluded 1 seed 3" in asked[1]
     assert "excluded 2 seed 4" in asked[2]
     assert "excluded 0 seed 5" in asked[3]
+    # Every attempt is on disk, with the cloud it was made from.
+    kept = list(AttemptFolder(record).read_all(notes := []))
+    assert not notes, notes
+    tried = [pick for pick in summary["picks"] if pick["returned"]]
+    assert [attempt.success for attempt in kept] == [pick["success"] for pick in tried]
+    assert [attempt.reason for attempt in kept] == [pick["reason"] for pick in tried]
+    assert [attempt.gripper for attempt in kept] == [pick["gripper"] for pick in tried]
+    assert kept[0].gripper_hash == load_gripper(kept[0].gripper).hash
+    for attempt in kept:
+        assert attempt.frame == "cell" and len(attempt.points) > 10_000
+        tip = attempt.world_from_tcp[:3, 3] - [0, 0, 0 if attempt.success else 0.06]
+        assert np.linalg.norm(attempt.points - tip, axis=1).min() < 0.03
 
 
 def test_a_broken_server_ends_the_run_with_1(cell):

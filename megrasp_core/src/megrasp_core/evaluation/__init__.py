@@ -5,6 +5,6 @@
   knows the true geometry, the most that a protocol allows; `search`: what it searches with.
 - `statistics`: rates with intervals.
 - `object_pool`: which objects are drawn, and which a gripper can hold at all.
-- `calibration`: scores that are probabilities.
+- `calibration`: scores that are probabilities; `attempts`: from what a real cell recorded.
 - `sample_rates`: raw samples of several models compared; `collision_causes`: why they collide.
 """

@@ -20,10 +20,12 @@ from megrasp_core.network import GraspModel, load_model
 from megrasp_core.pointcloud import Cloud, check_view
 from megrasp_core.ranking import GripperProbe, gripper_probe
 
-from .assessor import MountedGripper
+from .assessor import Assessor, MountedGripper
+from .perception import perceive
 from .request import SynthesisRequest
 from .result import Synthesis
 from .run import Cancelled, OnPoses, OnStep, SynthesisRun
+from .scene_judge import Assessment
 from .settings import SynthesizerSettings
 from .trace import OnTrace
 
@@ -191,6 +193,31 @@ class GraspSynthesizer:
         if offset.any():
             result = replace(result, grasps=[grasp.moved(offset) for grasp in result.grasps])
         return result
+
+    def assess(self, cloud: Cloud, world_from_tcp: np.ndarray, **options: Any) -> Assessment:
+        """What the model and the check say of given grasps, in the order that they are given.
+
+        Args:
+            cloud: in any frame, metres.
+            world_from_tcp: (N, 4, 4) in the frame of the cloud.
+            options: the attributes of `SynthesisRequest` by name.
+
+        Raises:
+            InvalidRequestError, GravityError, CloudError, EmptyRegionError.
+        """
+        if self._mounted is None:
+            raise InvalidRequestError("no gripper is set; expected one. Call set_gripper first.")
+        request = SynthesisRequest.of(**options)
+        tcp = np.array(world_from_tcp, dtype=np.float64)
+        offset = _far_origin(cloud)
+        if offset.any():
+            cloud, request = cloud.moved(-offset), request.moved(-offset)
+            tcp[:, :3, 3] -= offset
+        with self._running():
+            seen = perceive(cloud, request, self.scene_settings, self.settings.ranking)
+            field = self.model.encode_scene(seen.nodes)
+            found = Assessor(self.model, self._mounted, seen, field).poses(tcp)
+        return replace(found, poses=found.poses.moved(offset)) if offset.any() else found
 
     @contextmanager
     def _running(self) -> Iterator[None]:
