@@ -11,6 +11,7 @@ Frames: `cell` is the world of the simulation, z up, origin on the bin's floor i
 
 from __future__ import annotations
 
+import math
 import traceback
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -175,7 +176,7 @@ class SimCell(Node):
 
     def _execute(self, handle: ServerGoalHandle) -> ExecuteGrasp.Result:
         goal: ExecuteGrasp.Goal = handle.request
-        result = ExecuteGrasp.Result(objects_left=self._cell.objects_left)
+        result = ExecuteGrasp.Result(objects_left=self._cell.objects_left, width=math.nan)
         try:
             outcome = self._attempt(goal, handle)
         except CancelledError as error:
@@ -192,6 +193,7 @@ class SimCell(Node):
             if outcome.spilled:
                 result.error_msg += f" (fell out of the bin: {', '.join(outcome.spilled)})"
             result.objects_left = outcome.objects_left
+            result.width = outcome.width
             handle.succeed()
             self.get_logger().info(_report(outcome))
             return result
@@ -296,7 +298,8 @@ def make_cell(parameters: CellParameters) -> RobotCell:
 def _report(outcome: ExecutionResult) -> str:
     what = ", ".join(outcome.removed) or "nothing"
     how = "success" if outcome.success else f"failure ({outcome.error})"
-    return f"{how}: removed {what}; {outcome.objects_left} objects left"
+    fingers = "" if math.isnan(outcome.width) else f", fingers at {1000 * outcome.width:.1f} mm"
+    return f"{how}: removed {what}{fingers}; {outcome.objects_left} objects left"
 
 
 def main(signals: StopSignals | None = None) -> None:

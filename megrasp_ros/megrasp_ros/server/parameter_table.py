@@ -137,11 +137,31 @@ TABLE: dict[str, Spec] = {
         "gripper_name in a request may be the folder of a gripper.yaml; false: a registered name",
     ),
     "rack": Spec([""], 'grippers that a request for "auto" chooses from; empty: the active one'),
+    "swap_cost": Spec(
+        0.0,
+        "score that another gripper than the mounted one must gain to be chosen by a request for "
+        '"auto": what changing the tool is worth as probability of success',
+        0.0,
+        1.0,
+    ),
     "model": Spec("", "model id or folder; empty: the default model"),
     "device": Spec(
         "auto", "auto | cpu | cuda | cuda:N; auto takes a GPU if there is one", check=_device
     ),
     "threads": Spec(0, "CPU threads of one synthesis; 0: torch's choice", 0, 256),
+    "input": Spec(
+        "points",
+        "where clouds come from: points, the topic of that name; depth: the topics depth (16UC1 "
+        "in mm or 32FC1 in m, rectified), camera_info, and mask (numbers of objects) if somebody "
+        "publishes it",
+        check=_one_of("points", "depth"),
+    ),
+    "sync_tolerance": Spec(
+        0.0,
+        "with input depth: most difference of the stamps of depth, camera_info and mask (s)",
+        0.0,
+        1.0,
+    ),
     "planning_frame": Spec("", "frame of all answers; empty: the frame of the cloud"),
     "extrinsics": Spec(
         UNSET,
@@ -159,7 +179,7 @@ TABLE: dict[str, Spec] = {
     "sensor_origin": Spec(
         [0.0] * 3,
         "place of the sensor in the frame of the cloud (m); the default is the origin of that "
-        "frame",
+        "frame, which is where that of a depth image always is",
         check=_numbers(3, "x, y, z in metres"),
     ),
     "pose_reference": Spec(
@@ -198,7 +218,9 @@ TABLE: dict[str, Spec] = {
         "that is said only of a floor that shows almost nowhere",
     ),
     "cloud_max_age": Spec(5.0, "oldest cloud that is used (s, by its stamp); 0: any", 0.0, 3600.0),
-    "cloud_timeout": Spec(5.0, "longest wait for a cloud on `points` (s)", 0.05, 600.0),
+    "cloud_timeout": Spec(
+        5.0, "longest wait for a cloud on `points`, or all of a depth image (s)", 0.05, 600.0
+    ),
     "num_grasps": Spec(20, "grasps of a synthesis by auto_synthesize", 1, MAX_GRASPS),
     "max_num_grasps": Spec(1000, "most grasps a request may ask for", 1, MAX_GRASPS),
     "drawn": Spec(100, "poses drawn per synthesis; at least num_grasps are drawn", 1, MAX_DRAWN),
@@ -235,8 +257,8 @@ TABLE: dict[str, Spec] = {
     "auto_period": Spec(1.0, "shortest time between two automatic syntheses (s)", 0.0, 3600.0),
     "points_subscription": Spec(
         "on_demand",
-        "on_demand: `points` is subscribed while a request waits; continuous: always (no wait, "
-        "more load)",
+        "on_demand: `points`, or `depth` and what belongs to it, is subscribed while a request "
+        "waits; continuous: always (no wait, more load)",
         check=_one_of("on_demand", "continuous"),
     ),
     "tool_changer": Spec(

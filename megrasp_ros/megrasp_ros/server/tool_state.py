@@ -74,6 +74,12 @@ class ToolState:
         """Name of the tool that is mounted, by the changer; "": none, None: nobody has said."""
         return self._reported
 
+    @property
+    def mounted(self) -> str:
+        """Name of the tool that is on the arm: as reported, else the active one; "": none."""
+        with self._lock:
+            return self._mounted()
+
     # Planning
 
     def claim(self) -> Claim:

@@ -132,7 +132,11 @@ def test_an_empty_table_is_error_401_and_clears_the_poses(server: Client) -> Non
             ErrorCode.NO_GRASP_FOUND,
             ["none of 100 drawn grasps", "collision 100", "another gripper"],
         ),
-        ("memory", ErrorCode.OUT_OF_MEMORY, ["no room for 3 poses", "drawn"]),
+        (
+            "memory",
+            ErrorCode.OUT_OF_MEMORY,
+            ["no room for 8 poses", "also with 8 poses at a time", "drawn"],
+        ),
         ("broken", ErrorCode.INTERNAL, ["KeyError", "log"]),
         ("damaged", ErrorCode.MODEL_NOT_LOADED, ["model.safetensors", "expected"]),
     ],

@@ -78,8 +78,8 @@ class ExecutionResult:
     spilled: names of the objects that ended up outside the bin, which are taken out of the scene
     too.
     error: "" or the verdict's reason.
-    width: between the fingers at the end, with the object between them if there is one (m); NaN
-    for hands.
+    width: between the fingers after closing, with what is between them (m); NaN for hands, and
+    where the fingers have not closed.
     depth: deepest penetration of the open gripper with anything before closing (m).
     """
 
@@ -268,7 +268,7 @@ class RobotCell:
         if self._gripper.name not in self._ways:
             self._ways[self._gripper.name] = gripper_probe(self._gripper).closing
         way = self._ways[self._gripper.name]
-        if way is None:
+        if way is None or not joints:
             return float("nan")
         return float(np.interp(self._gripper.share_of(joints), way.shares, way.widths))
 

@@ -132,6 +132,7 @@ class GraspSynthesizer:
         on_step: OnStep | None = None,
         on_poses: OnPoses | None = None,
         cancelled: Cancelled | None = None,
+        at_once: int | None = None,
         **options: Any,
     ) -> Synthesis:
         """Draw grasps for a cloud, check and rank them.
@@ -146,9 +147,11 @@ class GraspSynthesizer:
             on_poses: called after each step of the sampler with poses as they are then: neither
                 finished nor checked, in no order.
             cancelled: asked between steps.
+            at_once: poses that the network takes at a time, where memory is short; None: all.
 
         Raises:
-            InvalidRequestError, GravityError, CloudError, EmptyRegionError, CancelledError.
+            InvalidRequestError, GravityError, CloudError, EmptyRegionError, CancelledError. What
+            `is_out_of_memory` tells apart where memory is not enough.
         """
         if request is not None and options:
             raise InvalidRequestError(
@@ -181,6 +184,7 @@ class GraspSynthesizer:
                 on_step=on_step,
                 on_poses=on_poses,
                 cancelled=cancelled,
+                at_once=at_once,
             ).run(cloud)
         if offset.any():
             result = replace(result, grasps=[grasp.moved(offset) for grasp in result.grasps])
