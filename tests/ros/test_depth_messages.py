@@ -25,7 +25,7 @@ SEEN = np.isfinite(EXPECTED).all(axis=1)
 def depth_image(kind: str = "<u2", **fields: Any):
     numbers = (1000 * DEPTH).round() if "u2" in kind else np.where(DEPTH > 0, DEPTH, np.nan)
     encoding = "16UC1" if "u2" in kind else "32FC1"
-    return image(numbers.astype(kind), encoding, STAMP, **fields)
+    return image(numbers.astype(kind), **{"encoding": encoding, "stamp": STAMP, **fields})
 
 
 @pytest.mark.parametrize("kind", ["<u2", ">u2", "<f4", ">f4"])
@@ -57,7 +57,7 @@ def test_a_mask_labels_the_points(encoding: str, kind: str) -> None:
 
 
 def test_negative_labels_are_none() -> None:
-    mask = np.where(MASK == LOW, -1, MASK).astype("<i4")
+    mask = np.where(MASK == LOW, -1, MASK.astype("<i4")).astype("<i4")
     labels = cloud_from_depth(depth_image(), info(STAMP), image(mask, "32SC1", STAMP)).labels
     assert labels is not None and set(np.unique(labels)) == {0, HIGH}
 

@@ -199,6 +199,7 @@ def test_goals_that_make_no_sense_are_refused(cell, change, code, message):
     assert answer.error_code == code
     assert message in answer.error_msg
     assert answer.objects_left == 3
+    assert np.isnan(answer.width)
 
 
 def test_a_stale_grasp_is_refused(cell):
@@ -206,6 +207,8 @@ def test_a_stale_grasp_is_refused(cell):
     header = cell.newest(PointCloud2).header
     first = cell.execute(header, "robotiq_2f85", in_the_air("robotiq_2f85"))
     assert (first.success, first.error_code, first.error_msg) == (False, 0, "no_contact")
+    # Closed on nothing, the fingers meet.
+    assert first.width < 0.005
     second = cell.execute(header, "robotiq_2f85", in_the_air("robotiq_2f85"))
     assert second.error_code == ErrorCode.STALE_CLOUD
     assert "not_before" in second.error_msg
@@ -244,6 +247,7 @@ def test_a_good_grasp_takes_a_box_out(cell):
     assert len(answer.removed) == 1
     assert answer.removed[0].startswith("box_")
     assert answer.objects_left == 2
+    assert answer.width == pytest.approx(BOX[0], abs=0.008)
     assert until(lambda: phases[-4:] == ["approach", "close", "lift", "drop"])
 
 

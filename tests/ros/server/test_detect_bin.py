@@ -50,7 +50,8 @@ def test_a_bin_is_found_with_its_fill(above: Client) -> None:
         assert answer.columns > answer.rows
         told = [cell for cell in answer.cells if not math.isnan(cell)]
         assert told and all(0.0 <= cell <= 1.0 for cell in told)
-    assert empty.fill_level < 0.1 < 0.25 < half.fill_level < 0.7
+    assert empty.fill_level < 0.05
+    assert empty.fill_level + 0.1 < half.fill_level < 0.7
 
 
 def test_the_bin_of_the_topic_is_told_in_the_planning_frame(above: Client) -> None:

@@ -12,6 +12,7 @@ objects and calls give the same scenes and clouds.
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -89,7 +90,7 @@ class ExecutionResult:
     objects_left: int
     error: str
     depth: float
-    width: float = float("nan")
+    width: float = math.nan
 
 
 class RobotCell:
@@ -269,7 +270,7 @@ class RobotCell:
             self._ways[self._gripper.name] = gripper_probe(self._gripper).closing
         way = self._ways[self._gripper.name]
         if way is None or not joints:
-            return float("nan")
+            return math.nan
         return float(np.interp(self._gripper.share_of(joints), way.shares, way.widths))
 
     def change_tool(self, name: str) -> None:
