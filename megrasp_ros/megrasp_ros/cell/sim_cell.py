@@ -28,7 +28,7 @@ from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2
 from std_msgs.msg import String
 
 from megrasp_core.cell.robot_cell import CellView, ExecutionResult, RobotCell
@@ -42,6 +42,7 @@ from megrasp_ros.errors import (
     TransformError,
     describe,
     is_expected,
+    shortened,
 )
 from megrasp_ros.process import StopSignals, run_node
 from megrasp_ros.qos import LATCHED, SENSOR
@@ -219,9 +220,7 @@ class SimCell(Node):
         world_from_frame = self._world_from(goal.header.frame_id)
         pose = world_from_frame @ matrix_from_pose(goal.grasp.pregrasp, "grasp.pregrasp")
         approach = world_from_frame @ matrix_from_pose(goal.grasp.approach, "grasp.approach")
-        posture = goal.grasp.pregrasp_posture
-        joints = dict(zip(posture.name, posture.position, strict=False))
-        opening = self._cell.gripper.share_of(joints) if joints else 0.0
+        opening = self._opening(goal.grasp.pregrasp_posture)
 
         def begin(phase: str) -> None:
             if handle.is_cancel_requested:
@@ -231,6 +230,20 @@ class SimCell(Node):
         outcome = self._cell.execute(pose, approach, opening, on_phase=begin)
         self._scene_changed = self.get_clock().now()
         return outcome
+
+    def _opening(self, posture: JointState) -> float:
+        """Share of the stroke at which the fingers start; fully open without a posture."""
+        if not posture.name and not posture.position:
+            return 0.0
+        moving = self._cell.gripper.open_joints
+        known = len(posture.name) == len(posture.position) and set(posture.name) <= set(moving)
+        if not known or not np.isfinite(posture.position).all():
+            raise InvalidRequestError(
+                f"grasp.pregrasp_posture has the joints {shortened(str(posture.name), 200)} at "
+                f"{shortened(str(list(posture.position)), 200)}; expected a finite position for "
+                f"each of some joints of {self._cell.gripper.name}, {', '.join(moving)}, or none"
+            )
+        return self._cell.gripper.share_of(dict(zip(posture.name, posture.position, strict=True)))
 
     def _check_goal(self, goal: ExecuteGrasp.Goal) -> None:
         mounted = self._cell.gripper.name

@@ -8,7 +8,10 @@ from rclpy.time import Time
 from std_msgs.msg import Header
 
 from megrasp_core.errors import CloudError
-from megrasp_ros.errors import StaleCloudError
+from megrasp_ros.errors import StaleCloudError, shortened
+
+LONGEST_NAME = 255
+"""Of a frame: it comes back in every answer."""
 
 FUTURE = 1.0
 """A stamp may lie this far (s) ahead of the node's clock."""
@@ -30,6 +33,12 @@ def check_header(header: Header) -> None:
         raise CloudError(
             "the cloud's header.frame_id is empty; expected the frame of its points. Set the "
             "frame in the camera's driver."
+        )
+    if len(header.frame_id) > LONGEST_NAME:
+        raise CloudError(
+            f"the cloud's header.frame_id has {len(header.frame_id)} characters, "
+            f"{shortened(header.frame_id, 40)!r}; expected the name of a frame. The publisher "
+            "fills the message wrongly."
         )
 
 

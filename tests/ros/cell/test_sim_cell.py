@@ -15,7 +15,7 @@ from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.time import Time as NodeTime
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2
 from std_msgs.msg import Header, String
 
 from megrasp_core.errors import InvalidRequestError, MegraspError, UnknownGripperError
@@ -183,6 +183,16 @@ def test_the_tool_is_changed_and_reported(cell):
         ({"pregrasp": Pose(orientation=Quaternion(w=0.0))}, ErrorCode.INVALID_REQUEST, "unit"),
         ({"pregrasp": Pose(position=Point(x=float("nan")))}, ErrorCode.INVALID_REQUEST, "finite"),
         ({"approach": Pose(position=Point(z=300.0))}, ErrorCode.INVALID_REQUEST, "metres"),
+        (
+            {"pregrasp_posture": JointState(name=["elbow"], position=[0.1])},
+            ErrorCode.INVALID_REQUEST,
+            "joints ['elbow']",
+        ),
+        (
+            {"pregrasp_posture": JointState(name=["elbow"])},
+            ErrorCode.INVALID_REQUEST,
+            "expected a finite position",
+        ),
     ],
 )
 def test_goals_that_make_no_sense_are_refused(cell, change, code, message):
@@ -192,7 +202,7 @@ def test_goals_that_make_no_sense_are_refused(cell, change, code, message):
         frame_id=change.get("frame", "cell"), stamp=cell.node.get_clock().now().to_msg()
     )
     header.stamp = change.get("stamp", header.stamp)
-    for name in ("pregrasp", "approach"):
+    for name in ("pregrasp", "approach", "pregrasp_posture"):
         setattr(grasp, name, change.get(name, getattr(grasp, name)))
     answer = cell.execute(header, change.get("gripper", "robotiq_2f85"), grasp)
     assert not answer.success

@@ -88,6 +88,11 @@ REQUESTS: dict[str, tuple[Any, int, str]] = {
         "lacks x, y, z",
     ),
     "no frame": (lambda c: {"cloud": in_frame(c, "")}, ErrorCode.BAD_CLOUD, "frame_id is empty"),
+    "a frame of ten megabytes": (
+        lambda c: {"cloud": in_frame(c, "f" * 10**7)},
+        ErrorCode.BAD_CLOUD,
+        "frame_id has 10000000 characters",
+    ),
     "from the future": (
         lambda c: {"cloud": stamped(c, 3600)},
         ErrorCode.STALE_CLOUD,
