@@ -53,6 +53,11 @@ BAD_REQUESTS = {
         ["exclude[1]", "unit quaternion"],
     ),
     "region": (lambda c: {"region": box((0.1, -0.1, 0.1))}, ErrorCode.INVALID_REQUEST, ["over 0"]),
+    "region of a galaxy": (
+        lambda c: {"region": box((1e300, 1e300, 1e300))},
+        ErrorCode.INVALID_REQUEST,
+        ["up to 1000000"],
+    ),
     "no cloud": (
         lambda c: {"cloud": PointCloud2()},
         ErrorCode.NO_CLOUD,

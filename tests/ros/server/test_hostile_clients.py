@@ -252,6 +252,13 @@ def test_of_fifty_calls_none_vanishes(server: Client) -> None:
     assert ErrorCode.NONE in codes
 
 
+def test_many_lists_at_once_are_answered_and_hold_nobody_up(server: Client) -> None:
+    futures = [server.start(ListGrippers.Request()) for _ in range(50)]
+    assert still_serves(server)
+    names = {tuple(info.name for info in result(future).grippers) for future in futures}
+    assert len(names) == 1 and "robotiq_2f85" in next(iter(names))
+
+
 @pytest.mark.parametrize("preempt", [False, True])
 def test_of_two_hundred_goals_none_vanishes(server: Client, preempt: bool) -> None:
     from megrasp_msgs.action import GenerateGrasps
