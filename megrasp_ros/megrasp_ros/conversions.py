@@ -38,7 +38,7 @@ LABEL = "label"
 """The field of a cloud that tells objects apart, as PCL names it."""
 
 FARTHEST = 1e6
-"""A coordinate beyond this (m) is no reading but a fault of the sensor."""
+"""A coordinate beyond this (m) is no reading but a fault of the sensor; a pose is no pose."""
 
 
 def points_from_cloud(message: PointCloud2) -> FloatArray:
@@ -189,7 +189,12 @@ def matrix_from_numbers(numbers: ArrayLike, what: str) -> FloatArray:
     """
     pose = np.asarray(numbers, dtype=np.float64)
     length = float(np.linalg.norm(pose[3:])) if pose.shape == (7,) else float("nan")
-    if pose.shape != (7,) or not np.isfinite(pose).all() or abs(length - 1) > 0.1:
+    if (
+        pose.shape != (7,)
+        or not (np.abs(pose) <= FARTHEST).all()
+        or not np.isfinite(length)
+        or abs(length - 1) > 0.1
+    ):
         raise InvalidRequestError(
             f"{what} is {pose.tolist()}; expected finite x, y, z (m) and a unit quaternion qx, "
             "qy, qz, qw. The identity is 0, 0, 0, 0, 0, 0, 1."

@@ -19,10 +19,16 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from megrasp_core.errors import InvalidRequestError
 from megrasp_core.synthesizer import MAX_DRAWN, MAX_GRASPS
-from megrasp_ros.conversions import matrix_from_numbers
+from megrasp_ros.conversions import FARTHEST, matrix_from_numbers
+from megrasp_ros.errors import shortened
+
+from .stamps import LONGEST_NAME
 
 FLANGE_PREFIX = "flange_from_gripper."
 IDENTITY = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+SHORTEST = 1e-6
+"""Of a vector that is to give a direction."""
+
 UNSET = [0.0] * 7
 """A pose that was not given."""
 
@@ -65,11 +71,33 @@ def _one_of(*choices: str) -> Check:
 
 def _numbers(count: int, meaning: str) -> Check:
     def check(value: Sequence[float]) -> str:
-        if len(value) == count and all(math.isfinite(v) for v in value):
+        if len(value) == count and all(abs(v) <= FARTHEST for v in value):
             return ""
-        return f"{list(value)} was given; expected {count} finite numbers: {meaning}"
+        return f"{_shown(value)} was given; expected {count} finite numbers: {meaning}"
 
     return check
+
+
+def _shown(value: Sequence[float]) -> str:
+    return shortened(str(list(value)), 200)
+
+
+def _direction(vector: Sequence[float]) -> bool:
+    """Whether it is 0 0 0, which stands for unset, or long enough to point somewhere."""
+    return not any(vector) or math.hypot(*vector) >= SHORTEST
+
+
+def _gravity(value: Sequence[float]) -> str:
+    wrong = _numbers(3, "the direction that things fall, in the planning frame")(value)
+    if wrong or _direction(value):
+        return wrong
+    return f"{_shown(value)} was given; expected a vector that points somewhere, such as 0 0 -1"
+
+
+def _frame(value: str) -> str:
+    if len(value) <= LONGEST_NAME:
+        return ""
+    return f"{value[:40]!r} and more was given; expected the name of a frame"
 
 
 def pose_check(unset_allowed: bool) -> Check:
@@ -112,10 +140,10 @@ def _service(value: str) -> str:
 
 
 def _floor(value: Sequence[float]) -> str:
-    if len(value) == 1 and math.isfinite(value[0]):
+    if len(value) == 1 and abs(value[0]) <= FARTHEST:
         return ""
     wrong = _numbers(4, "nx, ny, nz, d of a plane; or one number, its height")(value)
-    if wrong or not any(value) or any(value[:3]):
+    if wrong or not any(value) or (any(value[:3]) and _direction(value[:3])):
         return wrong
     return f"{list(value)} was given; expected a normal that is not 0 0 0"
 
@@ -162,7 +190,9 @@ TABLE: dict[str, Spec] = {
         0.0,
         1.0,
     ),
-    "planning_frame": Spec("", "frame of all answers; empty: the frame of the cloud"),
+    "planning_frame": Spec(
+        "", "frame of all answers; empty: the frame of the cloud", check=_frame
+    ),
     "extrinsics": Spec(
         UNSET,
         "planning_from_cloud as x, y, z, qx, qy, qz, qw; all 0: unset, tf2 is asked when "
@@ -174,7 +204,7 @@ TABLE: dict[str, Spec] = {
         [0.0] * 3,
         "direction of gravity in the planning frame; all 0: unset, then -z, but an error in an "
         "optical frame",
-        check=_numbers(3, "the direction that things fall, in the planning frame"),
+        check=_gravity,
     ),
     "sensor_origin": Spec(
         [0.0] * 3,
@@ -191,6 +221,7 @@ TABLE: dict[str, Spec] = {
         "flange",
         "frame that the active gripper hangs on in tf2: `gripper` and `gripper_tcp` are published "
         "below it on /tf_static (where tf2_msgs is installed); empty: not",
+        check=_frame,
     ),
     "region.pose": Spec(
         list(IDENTITY),
