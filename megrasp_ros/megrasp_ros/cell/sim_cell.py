@@ -11,6 +11,7 @@ Frames: `cell` is the world of the simulation, z up, origin on the bin's floor i
 
 from __future__ import annotations
 
+import concurrent.futures
 import math
 import traceback
 from concurrent.futures import ThreadPoolExecutor
@@ -37,6 +38,7 @@ from megrasp_core.objects import load_objects
 from megrasp_ros.conversions import matrix_from_pose
 from megrasp_ros.errors import (
     BusyError,
+    NotActiveError,
     StaleCloudError,
     ToolMismatchError,
     TransformError,
@@ -272,6 +274,8 @@ class SimCell(Node):
 
     def _explain(self, error: Exception) -> tuple[int, str]:
         """Error code and text; what nobody expected leaves its traceback in the log."""
+        if isinstance(error, concurrent.futures.CancelledError):
+            error = NotActiveError("the cell is shutting down; start it again")
         if not is_expected(error):
             self.get_logger().error("".join(traceback.format_exception(error)))
         return describe(error)

@@ -13,6 +13,8 @@ pytestmark = pytest.mark.slow
 DOUBLE = Path(__file__).parents[2] / "support" / "analytic_grasp_server.py"
 DOMAIN = own_domain(4)
 GRIPPERS = ["robotiq_2f85", "franka_hand"]
+RUN = 4 * WAIT
+"""Longest time (s) for a whole run: three processes start, and each pick has its pictures."""
 
 
 @pytest.fixture
@@ -48,7 +50,7 @@ def start_clearing(cell: Processes, **parameters: object):
 def test_a_bin_is_emptied_with_two_grippers(cell):
     start_double(cell, "--width", "0.03")
     clearing = start_clearing(cell)
-    assert clearing.wait(timeout=WAIT) == 0, cell.logs()
+    assert clearing.wait(timeout=RUN) == 0, cell.logs()
     log = cell.log("bin_clearing")
     summary = json.loads((cell.folder / "out" / "summary.json").read_text())
     assert summary["objects_at_start"] == 4
@@ -79,7 +81,7 @@ def test_failed_grasps_are_excluded_and_the_gripper_is_handed_on(cell):
     """The double grasps into the air 2 times per gripper: the third try of each succeeds."""
     start_double(cell, "--fail-first", "2", "--width", "0.07")
     clearing = start_clearing(cell, pictures="false")
-    assert clearing.wait(timeout=WAIT) == 0, cell.logs()
+    assert clearing.wait(timeout=RUN) == 0, cell.logs()
     summary = json.loads((cell.folder / "out" / "summary.json").read_text())
     first = summary["picks"][:3]
     assert [pick["success"] for pick in first] == [False, False, True]
