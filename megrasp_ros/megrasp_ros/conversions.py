@@ -32,15 +32,25 @@ _TYPES = {
     PointField.FLOAT32: "f4",
     PointField.FLOAT64: "f8",
 }
+_WHOLE = tuple(number for number, name in _TYPES.items() if not name.startswith("f"))
 
+LABEL = "label"
+"""The field of a cloud that tells objects apart, as PCL names it."""
 
 FARTHEST = 1e6
-"""A coordinate beyond this (m) is no reading but a fault of the sensor."""
+"""A coordinate beyond this (m) is no reading but a fault of the sensor; a pose is no pose."""
 
 
 def points_from_cloud(message: PointCloud2) -> FloatArray:
-    """Return the finite points (N, 3) of a cloud, in its own frame (m), in the order of the
-    message; those that are exactly 0 0 0 or beyond `FARTHEST` are no readings and left out.
+    """Return the points (N, 3) of `cloud_from_message`. Raises CloudError."""
+    return cloud_from_message(message).points
+
+
+def cloud_from_message(message: PointCloud2) -> Cloud:
+    """Return the finite points of a cloud, in its own frame (m), in the order of the message;
+    those that are exactly 0 0 0 or beyond `FARTHEST` are no readings and left out.
+
+    A field `label` of whole numbers becomes the labels of the points: which object one belongs to.
 
     Raises CloudError when the cloud is empty, has no numeric fields x, y and z, its data is
     shorter than its layout says, or no point is a reading.
@@ -53,22 +63,32 @@ def points_from_cloud(message: PointCloud2) -> FloatArray:
         )
     # The data first: numbers that fit it are no larger than memory.
     data = _checked_data(message)
+    kind = _point_dtype(message)
     records = np.ndarray(
         (message.height, message.width),
-        dtype=_point_dtype(message),
+        dtype=kind,
         buffer=data,
         strides=(message.row_step if message.height > 1 else 0, message.point_step),
     )
     points = np.stack([records[axis].astype(np.float64) for axis in "xyz"], axis=-1).reshape(-1, 3)
     with np.errstate(invalid="ignore"):
         points[(np.abs(points) > FARTHEST).any(axis=1)] = np.nan
-    seen = without_zeros(Cloud(points).finite())
+    labels = whole_labels(records[LABEL]).ravel() if LABEL in (kind.names or ()) else None
+    seen = without_zeros(Cloud(points, labels=labels).finite())
     if not len(seen):
         raise CloudError(
             f"none of the {count} points of the cloud is a reading: all are NaN, infinite or 0 0 "
             "0; expected metres. Check that the camera sees the scene within its range."
         )
-    return seen.points
+    return seen
+
+
+def whole_labels(labels: NDArray) -> NDArray[np.int32]:
+    """Return the numbers of objects; those that are none (0, negative, or the highest of 32 bits,
+    as some take for none) become 0.
+    """
+    wide = labels.astype(np.int64)
+    return np.where((wide > 0) & (wide <= np.iinfo(np.int32).max), wide, 0).astype(np.int32)
 
 
 def _point_dtype(message: PointCloud2) -> np.dtype:
@@ -87,8 +107,17 @@ def _point_dtype(message: PointCloud2) -> np.dtype:
             "expected x, y and z in metres. Remap `points` to a topic with a point cloud."
         )
     order = ">" if message.is_bigendian else "<"
-    formats = []
-    for axis in "xyz":
+    formats: list[str] = []
+    label = fields.get(LABEL)
+    # Others may mean something else by it: floats, several numbers a point.
+    labelled = (
+        label is not None
+        and label.datatype in _WHOLE
+        and label.count <= 1
+        and names.count(LABEL) == 1
+    )
+    used = [*"xyz", *([LABEL] if labelled else [])]
+    for axis in used:
         field = fields[axis]
         if field.datatype not in _TYPES:
             raise CloudError(
@@ -105,9 +134,9 @@ def _point_dtype(message: PointCloud2) -> np.dtype:
             )
     return np.dtype(
         {
-            "names": list("xyz"),
+            "names": used,
             "formats": formats,
-            "offsets": [fields[axis].offset for axis in "xyz"],
+            "offsets": [fields[axis].offset for axis in used],
         }
     )
 
@@ -160,7 +189,12 @@ def matrix_from_numbers(numbers: ArrayLike, what: str) -> FloatArray:
     """
     pose = np.asarray(numbers, dtype=np.float64)
     length = float(np.linalg.norm(pose[3:])) if pose.shape == (7,) else float("nan")
-    if pose.shape != (7,) or not np.isfinite(pose).all() or abs(length - 1) > 0.1:
+    if (
+        pose.shape != (7,)
+        or not (np.abs(pose) <= FARTHEST).all()
+        or not np.isfinite(length)
+        or abs(length - 1) > 0.1
+    ):
         raise InvalidRequestError(
             f"{what} is {pose.tolist()}; expected finite x, y, z (m) and a unit quaternion qx, "
             "qy, qz, qw. The identity is 0, 0, 0, 0, 0, 0, 1."

@@ -2,7 +2,7 @@
 
 It answers `synthesize_grasps` and `set_gripper` by the rules of the interface. `--fail-first N`
 lets the first N answers per gripper point into the air; `--error CODE` answers every synthesis
-with that error.
+with that error; `--width W` says how wide the boxes are (m).
 """
 
 from __future__ import annotations
@@ -30,12 +30,13 @@ from megrasp_ros.server.grasp_messages import gripper_info
 from megrasp_ros.server.parameter_table import TABLE
 
 APPROACH = 0.10
+TOLERANCE = 0.008
 
 
 class AnalyticGraspServer(Node):
-    def __init__(self, fail_first: int, error: int) -> None:
+    def __init__(self, fail_first: int, error: int, width: float) -> None:
         super().__init__("grasp_server")
-        self._fail_first, self._error = fail_first, error
+        self._fail_first, self._error, self._width = fail_first, error, width
         self._gripper = None
         self._answers: dict[str, int] = {}
         self._cloud: PointCloud2 | None = None
@@ -115,7 +116,8 @@ class AnalyticGraspServer(Node):
             tcp=pose_from_matrix(tcp),
             approach=_lifted(pose),
             retreat=_lifted(pose),
-            width=math.nan,
+            width=self._width,
+            width_tolerance=TOLERANCE,
             score=0.5,
             collision_free=True,
         )
@@ -167,10 +169,11 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--fail-first", type=int, default=0)
     parser.add_argument("--error", type=int, default=0)
+    parser.add_argument("--width", type=float, default=math.nan)
     arguments = parser.parse_args(rclpy.utilities.remove_ros_args(sys.argv)[1:])
     rclpy.init()
     executor = MultiThreadedExecutor(num_threads=4)
-    executor.add_node(AnalyticGraspServer(arguments.fail_first, arguments.error))
+    executor.add_node(AnalyticGraspServer(arguments.fail_first, arguments.error, arguments.width))
     try:
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):

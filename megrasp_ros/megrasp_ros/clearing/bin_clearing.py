@@ -127,10 +127,9 @@ class BinClearing:
             "picture": picture,
         }
         if chosen is None:
-            reason = "no grasp found" if not grasps else "all grasps are aimed at given-up objects"
             record = PickRecord(
                 success=False,
-                reason=reason,
+                reason="given_up" if grasps else "no_grasp",
                 removed=(),
                 objects_left=self._plan.objects_left,
                 **common,
@@ -158,6 +157,8 @@ class BinClearing:
                 objects_left=int(result.objects_left),
                 score=float(grasp.score),
                 width=float(grasp.width),
+                width_tolerance=float(grasp.width_tolerance),
+                closed_width=float(result.width),
                 execution_seconds=time.monotonic() - begun,
                 **common,
             )

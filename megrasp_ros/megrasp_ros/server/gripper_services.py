@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -21,6 +22,7 @@ from megrasp_ros.errors import ToolMismatchError, UnknownNameError, describe, sh
 from megrasp_ros.lifecycle import GuardedLifecycleNode
 from megrasp_ros.pacing import paced
 from megrasp_ros.qos import CALLS, LATCHED
+from megrasp_ros.waiting import wake_when
 
 from . import parameters
 from .changer import Changer
@@ -30,7 +32,7 @@ from .gripper_shelf import GripperShelf
 from .parameters import Settings
 from .tool_change import change_tool
 from .tool_state import Claim, ToolState
-from .worker import Job
+from .worker import Job, run_job
 
 RunJob = Callable[[str, Callable[[Job], Any]], Awaitable[Any]]
 """(what, work) -> result; runs the work in the worker thread of an active node."""
@@ -55,6 +57,8 @@ class GripperServices:
         self._run_job = run_job
         self._changer = Changer(node)
         self._wanted = ""
+        self._listed: Job | None = None
+        self._lock = threading.Lock()
         node.create_subscription(
             String, "tool_id", self._on_tool_id, LATCHED, callback_group=group
         )
@@ -196,24 +200,42 @@ class GripperServices:
         self._node.set_parameters([Parameter("gripper", value=name)])
         return self.info(gripper)
 
-    def _list_grippers(
+    async def _list_grippers(
         self, _: ListGrippers.Request, response: ListGrippers.Response
     ) -> ListGrippers.Response:
-        paths = parameters.read(self._node).gripper_paths
+        job = self._listing()
+        await wake_when(job.on_done, self._node)
         active = self._state.active
         response.active = "" if active is None else active.name
+        response.grippers = job.outcome()
+        return response
+
+    def _listing(self) -> Job:
+        """Return the list that is being made, or begin another.
+
+        In a thread of its own: it may be asked for while the worker computes, and the first one
+        takes seconds, for which no thread of the executor waits.
+        """
+        with self._lock:
+            if self._listed is None or self._listed.done.is_set():
+                self._listed = job = Job("list_grippers", self._list)
+                threading.Thread(target=run_job, args=(job,), name="listing", daemon=True).start()
+            return self._listed
+
+    def _list(self, _: Job) -> list[GripperInfo]:
+        paths = parameters.read(self._node).gripper_paths
+        log, found = self._node.get_logger(), []
         try:
             names = self._shelf.names(paths)
         except MegraspError as error:
-            self._node.get_logger().warning(f"list_grippers: {error}")
-            return response
+            log.warning(f"list_grippers: {error}")
+            return []
         for name in names:
             try:
-                gripper = self._shelf.load(name, paths, seconds=LISTING)
-                response.grippers.append(self.info(gripper))
+                found.append(self.info(self._shelf.load(name, paths, seconds=LISTING)))
             except MegraspError as error:
-                self._node.get_logger().warning(f"list_grippers leaves out {name!r}: {error}")
-        return response
+                log.warning(f"list_grippers leaves out {name!r}: {error}")
+        return found
 
     async def _reload_grippers(
         self, _: ReloadGrippers.Request, response: ReloadGrippers.Response

@@ -38,9 +38,12 @@ class Settings:
     gripper_paths: tuple[str, ...]
     allow_paths: bool
     rack: tuple[str, ...]
+    swap_cost: float
     model: str
     device: str
     threads: int
+    input: str
+    sync_tolerance: float
     planning_frame: str
     extrinsics: NDArray[np.float64] | None
     tf_timeout: float

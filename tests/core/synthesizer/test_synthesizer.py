@@ -361,3 +361,20 @@ def test_unfinished_poses_are_told_in_the_frame_of_the_cloud(synthesizer, far):
     assert len(drawn & ranked) >= 1
     fits = heard[-1].gripper @ synthesizer.gripper.gripper_from_tcp
     np.testing.assert_allclose(fits, heard[-1].tcp, atol=1e-9 * max(1.0, far))
+
+
+def test_the_same_comes_out_with_few_poses_at_a_time(synthesizer, monkeypatch):
+    whole = run(synthesizer, keep_all=True)
+    sizes = []
+    predict = synthesizer.model.predict
+
+    def counted(field, code, poses, s):
+        sizes.append(len(poses))
+        return predict(field, code, poses, s)
+
+    monkeypatch.setattr(synthesizer.model, "predict", counted)
+    parts = run(synthesizer, keep_all=True, at_once=5)
+    assert set(sizes) == {5, 2}
+    assert parts.rejected == whole.rejected
+    for one, other in zip(parts.grasps, whole.grasps, strict=True):
+        np.testing.assert_allclose(one.world_from_tcp, other.world_from_tcp, atol=1e-4)

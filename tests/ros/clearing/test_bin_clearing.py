@@ -17,6 +17,8 @@ pytestmark = pytest.mark.slow
 DOUBLE = Path(__file__).parents[2] / "support" / "analytic_grasp_server.py"
 DOMAIN = own_domain(4)
 GRIPPERS = ["robotiq_2f85", "franka_hand"]
+RUN = 4 * WAIT
+"""Longest time (s) for a whole run: three processes start, and each pick has its pictures."""
 
 
 @pytest.fixture
@@ -50,9 +52,9 @@ def start_clearing(cell: Processes, **parameters: object):
 
 
 def test_a_bin_is_emptied_with_two_grippers(cell):
-    start_double(cell)
+    start_double(cell, "--width", "0.03")
     clearing = start_clearing(cell)
-    assert clearing.wait(timeout=WAIT) == 0, cell.logs()
+    assert clearing.wait(timeout=RUN) == 0, cell.logs()
     log = cell.log("bin_clearing")
     summary = json.loads((cell.folder / "out" / "summary.json").read_text())
     assert summary["objects_at_start"] == 4
@@ -67,6 +69,12 @@ def test_a_bin_is_emptied_with_two_grippers(cell):
     assert log.index("mounted robotiq_2f85") < log.index("mounted franka_hand")
     assert log.count("pick ") == summary["attempts"]
     assert "set_gripper franka_hand" in cell.log("grasp_server")
+    lifted = [pick for pick in summary["picks"] if pick["success"]]
+    # The cell tells where the fingers stood, and what was lifted is as wide as it was seen.
+    assert all(pick["closed_width"] == pytest.approx(0.03, abs=0.02) for pick in lifted)
+    assert sum(pick["as_expected"] for pick in lifted) >= len(lifted) - 1
+    assert all((pick["failure"] == "") == pick["as_expected"] for pick in lifted)
+    assert "(as expected: 30)" in log
     for pick in summary["picks"]:
         if pick["returned"]:
             assert Path(pick["picture"]).stat().st_size > 5000
@@ -75,14 +83,21 @@ def test_a_bin_is_emptied_with_two_grippers(cell):
 
 def test_failed_grasps_are_excluded_and_the_gripper_is_handed_on(cell):
     """The double grasps into the air 2 times per gripper: the third try of each succeeds."""
-    start_double(cell, "--fail-first", "2")
+    start_double(cell, "--fail-first", "2", "--width", "0.07")
     record = cell.folder / "attempts"
     clearing = start_clearing(cell, pictures="false", record=record)
-    assert clearing.wait(timeout=WAIT) == 0, cell.logs()
+    assert clearing.wait(timeout=RUN) == 0, cell.logs()
     summary = json.loads((cell.folder / "out" / "summary.json").read_text())
     first = summary["picks"][:3]
     assert [pick["success"] for pick in first] == [False, False, True]
     assert [pick["reason"] for pick in first[:2]] == ["no_contact", "no_contact"]
+    # What was lifted is not as wide as it was said to be.
+    assert [pick["failure"] for pick in first] == [*2 * ["no_contact"], "unexpected_width"]
+    assert [pick["as_expected"] for pick in first] == [False, False, False]
+    assert summary["failures"]["no_contact"] >= 2
+    log = cell.log("bin_clearing")
+    assert "failed (no_contact: the fingers closed on nothing)" in log
+    assert "(not as expected: 70)" in log
     asked = [line for line in cell.log("grasp_server").splitlines() if "synthesize" in line]
     assert "excluded 0 seed 2" in asked[0]
     assert "excluded 1 seed 3" in asked[1]

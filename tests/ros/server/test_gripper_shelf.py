@@ -40,6 +40,33 @@ def test_reading_that_blocks_is_given_up(stalled: None) -> None:
     assert shelf.load("robotiq_2f85", ()).name == "robotiq_2f85"
 
 
+def test_who_comes_while_it_is_read_waits_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, go_on, load = threading.Event(), threading.Event(), gripper_shelf.load_gripper
+    loads: list[str] = []
+
+    def slow(name: str, paths: Sequence[str]) -> Gripper:
+        loads.append(name)
+        begun.set()
+        go_on.wait()
+        return load(name, paths)
+
+    monkeypatch.setattr(gripper_shelf, "load_gripper", slow)
+    shelf, found = GripperShelf(), []
+
+    def ask() -> None:
+        found.append(shelf.load("schunk_wsg32", ()))
+
+    threads = [threading.Thread(target=ask) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    assert begun.wait(60.0)
+    go_on.set()
+    for thread in threads:
+        thread.join()
+    assert loads == ["schunk_wsg32"]
+    assert len(found) == 4 and all(each is found[0] for each in found)
+
+
 def test_reading_can_be_broken_off(stalled: None) -> None:
     def check() -> None:
         raise CancelledError("enough")

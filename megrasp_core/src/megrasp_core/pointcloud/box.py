@@ -11,6 +11,9 @@ from megrasp_core.errors import InvalidRequestError
 
 FloatArray = NDArray[np.float64]
 
+LARGEST = 1e6
+"""Longest edge (m)."""
+
 
 @dataclass(frozen=True, eq=False)
 class OrientedBox:
@@ -26,10 +29,10 @@ class OrientedBox:
         """Bring the fields to float64 and check them."""
         pose = np.asarray(self.world_from_box, dtype=np.float64)
         size = np.asarray(self.size, dtype=np.float64)
-        if size.shape != (3,) or not np.isfinite(size).all() or (size <= 0).any():
+        if size.shape != (3,) or not ((size > 0) & (size <= LARGEST)).all():
             raise InvalidRequestError(
                 f"box size {size.tolist()} is not usable; expected three full edges over 0, in "
-                "metres."
+                f"metres, and up to {LARGEST:.0f}."
             )
         rigid = pose.shape == (4, 4) and np.isfinite(pose).all()
         if not rigid or not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-5):

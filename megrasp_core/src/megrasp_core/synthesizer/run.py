@@ -29,6 +29,7 @@ from megrasp_core.ranking import rejection_counts
 
 from .assessor import Assessor, MountedGripper
 from .hints import hints
+from .parts import in_parts
 from .perception import Perceived, perceive
 from .polish import polish, with_rows
 from .poses import PoseSet, pose_set, world_from_tcp
@@ -76,12 +77,14 @@ class SynthesisRun:
         on_poses: OnPoses | None = None,
         on_trace: OnTrace | None = None,
         cancelled: Cancelled | None = None,
+        at_once: int | None = None,
     ) -> None:
         self.model, self.schedule, self.sampler = model, schedule, sampler
         self.settings, self.scene_settings = settings, scene_settings
         self.mounted, self.request = mounted, request
         self.on_step, self.on_poses, self.cancelled = on_step, on_poses, cancelled
         self.on_trace = on_trace
+        self.at_once = at_once
         self.centroid = np.zeros(3)
         self.timing: dict[str, float] = {}
         self.notes: tuple[str, ...] = ()
@@ -104,7 +107,7 @@ class SynthesisRun:
         with self._phase("encode"):
             field = self.model.encode_scene(seen.nodes)
         self.centroid = seen.nodes.centroid
-        assessor = Assessor(self.model, self.mounted, seen, field)
+        assessor = Assessor(self.model, self.mounted, seen, field, self.at_once)
         allowed = self._at_target(seen, field)
         left_out: tuple[Assessment, np.ndarray] | None = None
         with self._phase("sample"):
@@ -191,11 +194,14 @@ class SynthesisRun:
         return last_step(later, self._report, self.cancelled).poses
 
     def _denoiser(self, field: SceneField) -> Denoise:
-        def denoise(poses: PoseBatch, s: Tensor) -> Tensor:
+        def some(poses: PoseBatch, s: Tensor) -> Tensor:
             found = self.model.predict(field, self.mounted.code, poses, s)
             if self.sampler.uses_score:
                 return torch.cat([found.residual[:, :3], found.score], dim=-1)
             return found.residual
+
+        def denoise(poses: PoseBatch, s: Tensor) -> Tensor:
+            return in_parts(lambda rows: some(poses.part(rows), s[rows]), len(poses), self.at_once)
 
         return denoise
 

@@ -136,6 +136,7 @@ class GraspSynthesizer:
         on_poses: OnPoses | None = None,
         on_trace: OnTrace | None = None,
         cancelled: Cancelled | None = None,
+        at_once: int | None = None,
         **options: Any,
     ) -> Synthesis:
         """Draw grasps for a cloud, check and rank them.
@@ -151,9 +152,11 @@ class GraspSynthesizer:
                 finished nor checked, in no order.
             on_trace: called at the end with what became of every drawn pose.
             cancelled: asked between steps.
+            at_once: poses that the network takes at a time, where memory is short; None: all.
 
         Raises:
-            InvalidRequestError, GravityError, CloudError, EmptyRegionError, CancelledError.
+            InvalidRequestError, GravityError, CloudError, EmptyRegionError, CancelledError. What
+            `is_out_of_memory` tells apart where memory is not enough.
         """
         if request is not None and options:
             raise InvalidRequestError(
@@ -189,6 +192,7 @@ class GraspSynthesizer:
                 on_poses=on_poses,
                 on_trace=on_trace,
                 cancelled=cancelled,
+                at_once=at_once,
             ).run(cloud)
         if offset.any():
             result = replace(result, grasps=[grasp.moved(offset) for grasp in result.grasps])
