@@ -16,8 +16,10 @@ from types import FrameType
 from typing import NoReturn, Protocol
 
 INTERRUPTED = 130
-PATIENCE = 5.0
-"""A signal so long (s) after the first one ends the process at once."""
+PATIENCE = 4.0
+"""A signal so long (s) after the first one ends the process at once; ros2 launch sends its second
+one after five.
+"""
 
 
 class StopSignals:
@@ -76,6 +78,48 @@ def run_node(
     while nodes:
         nodes.pop().destroy_node()
     rclpy.try_shutdown()
+    leave(code)
+
+
+def run_program(run: Callable[[], int], *, signals: StopSignals | None = None) -> NoReturn:
+    """Call a program that makes calls and ends by itself, with rclpy up, and exit with what it
+    returns.
+
+    SIGINT and SIGTERM shut rclpy down, which ends every wait; the program then returns or raises
+    whatever it likes, and the process exits with 130. A MegraspError or a parameter out of range
+    is exit code 2 and one line that says why.
+    """
+    signals = signals or StopSignals()
+    import rclpy
+    from rclpy.exceptions import ParameterException
+    from rclpy.logging import get_logger
+    from rclpy.signals import SignalHandlerOptions
+
+    from megrasp_core.errors import MegraspError
+
+    signals.orderly = True
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+
+    def shut_down() -> None:
+        signals.event.wait()
+        rclpy.try_shutdown()
+
+    threading.Thread(target=shut_down, name="signals", daemon=True).start()
+    try:
+        code = run()
+    except (MegraspError, ParameterException) as error:
+        get_logger("megrasp_ros").fatal(str(error))
+        code = 2
+    except BaseException:
+        if not signals.event.is_set():
+            raise
+        code = INTERRUPTED
+    rclpy.try_shutdown()
+    leave(INTERRUPTED if signals.event.is_set() else code)
+
+
+def leave(code: int) -> NoReturn:
+    """End the process at once."""
     # Fast DDS keeps its shared memory until the last object that knows the node is gone.
     gc.collect()
     # Freeing torch's modules takes seconds more on a busy machine, and ros2 launch loses patience

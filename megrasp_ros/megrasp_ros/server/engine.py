@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from megrasp_core.errors import MegraspError, ModelError
-from megrasp_core.grippers import Gripper
 
 from .parameters import Settings
+
+if TYPE_CHECKING:
+    from megrasp_core.grippers import Gripper
 
 Factory = Callable[[str | None, str, int | None], Any]
 """(model or None, device, threads or None) -> an object like

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from megrasp_msgs.msg import ErrorCode, GraspArray
@@ -13,9 +13,6 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
-from megrasp_core.grippers import Gripper
-from megrasp_core.pointcloud import Cloud, check_view
-from megrasp_core.synthesizer import PoseSet
 from megrasp_ros.conversions import points_from_cloud
 from megrasp_ros.errors import BinEmptyError
 
@@ -26,6 +23,11 @@ from .grasp_messages import Outcome, grasp_array, rejection_counts, timing_messa
 from .parameters import Settings
 from .requests import ParsedRequest
 from .worker import Job
+
+if TYPE_CHECKING:
+    from megrasp_core.grippers import Gripper
+    from megrasp_core.pointcloud import Cloud
+    from megrasp_core.synthesizer import PoseSet
 
 FloatArray = NDArray[np.float64]
 OnStep = Callable[[str, int, int, GraspArray | None], None]
@@ -143,6 +145,8 @@ class SynthesisRunner:
         if region is not None:
             region = region.transformed(np.linalg.inv(planning_from_cloud))
         # Gravity is looked at in the planning frame, with everything else, before the synthesis.
+        from megrasp_core.pointcloud import Cloud, check_view
+
         check_view(points, region=region, optical=is_optical(message.header.frame_id))
         cloud = Cloud(points, None, settings.sensor_origin).transformed(planning_from_cloud)
         return cloud, Header(stamp=message.header.stamp, frame_id=frame), gravity

@@ -11,11 +11,13 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from megrasp_core.errors import MegraspError
-from megrasp_core.grippers import Gripper
 from megrasp_ros.errors import BusyError, NotActiveError, ToolMismatchError
+
+if TYPE_CHECKING:
+    from megrasp_core.grippers import Gripper
 
 
 class Told(Protocol):
