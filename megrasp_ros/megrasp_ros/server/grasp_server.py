@@ -27,6 +27,7 @@ from megrasp_core.errors import InvalidRequestError
 from megrasp_ros.errors import BinEmptyError, ConfigureError, NotActiveError, describe
 from megrasp_ros.lifecycle import GuardedLifecycleNode
 from megrasp_ros.logs import forward_logs
+from megrasp_ros.memory import few_arenas
 from megrasp_ros.process import StopSignals, run_node
 from megrasp_ros.shared_memory import shared_memory_warning
 from megrasp_ros.waiting import wake_when
@@ -380,6 +381,7 @@ def main(factory: Factory = load_synthesizer, signals: StopSignals | None = None
             node.get_logger().warning(small)
         return node
 
+    few_arenas()
     run_node(make, threads=6, signals=signals)
 
 

@@ -24,6 +24,7 @@ from megrasp_ros.errors import (
     shortened,
 )
 from megrasp_ros.lifecycle import GuardedLifecycleNode
+from megrasp_ros.memory import give_back
 from megrasp_ros.pacing import paced
 from megrasp_ros.qos import CALLS, LATCHED
 
@@ -252,6 +253,12 @@ class GripperServices:
         return response
 
     def _reload(self, job: Job) -> tuple[list[str], list[str]]:
+        try:
+            return self._read_again(job)
+        finally:
+            give_back()
+
+    def _read_again(self, job: Job) -> tuple[list[str], list[str]]:
         """Return what cannot be read, with the reasons, and all names."""
         settings = parameters.read(self._node)
         self._shelf.forget()
