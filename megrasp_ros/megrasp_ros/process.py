@@ -15,6 +15,8 @@ from collections.abc import Callable
 from types import FrameType
 from typing import NoReturn, Protocol
 
+from .fast_dds import remove_stale_segments
+
 INTERRUPTED = 130
 PATIENCE = 4.0
 """A signal so long (s) after the first one ends the process at once; ros2 launch sends its second
@@ -70,6 +72,7 @@ def run_node(
     from rclpy.signals import SignalHandlerOptions
 
     signals.orderly = True
+    remove_stale_segments()
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     nodes: list[Runnable] = []
     code = _serve(make, nodes, threads, signals)
@@ -98,6 +101,7 @@ def run_program(run: Callable[[], int], *, signals: StopSignals | None = None) -
     from megrasp_core.errors import MegraspError
 
     signals.orderly = True
+    remove_stale_segments()
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
 
     def shut_down() -> None:

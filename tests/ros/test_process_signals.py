@@ -10,8 +10,6 @@ import time
 import pytest
 from cell_processes import default_signals
 
-from megrasp_ros.shared_memory import ENOUGH, shared_memory_warning
-
 IMPORTING = """
 import time
 from megrasp_ros.process import StopSignals
@@ -65,9 +63,3 @@ def test_further_signals_while_things_are_put_in_order_are_nothing(number: int) 
         time.sleep(0.05)
     _, errors = process.communicate(timeout=60)
     assert (process.returncode, errors) == (0, "")
-
-
-def test_small_shared_memory_is_told() -> None:
-    assert not shared_memory_warning(total=ENOUGH)
-    text = shared_memory_warning(total=64 * 2**20)
-    assert "64 MiB" in text and "--shm-size" in text

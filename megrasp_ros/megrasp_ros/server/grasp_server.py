@@ -25,11 +25,11 @@ from rclpy.timer import Timer
 
 from megrasp_core.errors import InvalidRequestError
 from megrasp_ros.errors import BinEmptyError, ConfigureError, NotActiveError, describe
+from megrasp_ros.fast_dds import shared_memory_warning
 from megrasp_ros.lifecycle import GuardedLifecycleNode
 from megrasp_ros.logs import forward_logs
 from megrasp_ros.memory import few_arenas
 from megrasp_ros.process import StopSignals, run_node
-from megrasp_ros.shared_memory import shared_memory_warning
 from megrasp_ros.waiting import wake_when
 
 from . import parameters
