@@ -2,7 +2,7 @@
 
 The parameter `model` says how the double behaves: `quick` and `slow` return grasps above the
 cloud's centre, `none` finds nothing, `memory` runs out of memory, `broken` fails, `damaged` cannot
-be loaded.
+be loaded, `late` takes its time to be.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from megrasp_ros.server.grasp_server import main
 
 STEPS = 20
 SLOW_STEP = 0.25
+LATE = 8.0
 
 
 class DoubleSynthesizer:
@@ -109,6 +110,8 @@ def _about_z(angle: float) -> np.ndarray:
 
 
 def make(model: str | None, device: str, threads: int | None) -> DoubleSynthesizer:
+    if model == "late":
+        time.sleep(LATE)
     if model == "damaged":
         raise ModelError(
             "model.safetensors of 'damaged' does not fit; expected a model folder. Set `model`."

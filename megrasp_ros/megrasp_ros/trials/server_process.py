@@ -142,15 +142,16 @@ class ServerProcess:
 
 @contextmanager
 def server_process(
-    parameters: Mapping[str, Any], *, command: list[str] | None = None
+    parameters: Mapping[str, Any], *, command: list[str] | None = None, namespace: str = ""
 ) -> Iterator[ServerProcess]:
     """Yield a server that has been started and will be active soon.
 
     Args:
         parameters: of the node.
         command: in place of the installed executable.
+        namespace: of the server; by default one that nobody else has.
     """
-    namespace = f"/trial_{os.getpid()}"
+    namespace = namespace or f"/trial_{os.getpid()}"
     with tempfile.TemporaryDirectory(prefix="megrasp_trial_") as folder:
         log = Path(folder) / "grasp_server.log"
         process = start_node(

@@ -22,7 +22,7 @@ import numpy as np
 import psutil
 from megrasp_msgs.action import GenerateGrasps
 from megrasp_msgs.msg import ErrorCode
-from megrasp_msgs.srv import SetGripper, SynthesizeGrasps
+from megrasp_msgs.srv import ReloadGrippers, SetGripper, SynthesizeGrasps
 from rclpy.action import ActionClient
 
 from megrasp_core.machine import processor
@@ -31,7 +31,7 @@ from megrasp_ros.waiting import wait_for_future
 
 from .camera import picture, region_parameters
 from .malformed import malformed_request
-from .server_process import ServerProcess, camera_process, server_process
+from .server_process import STARTING, ServerProcess, camera_process, server_process
 
 RATE = 2.0
 GRIPPERS = ("robotiq_2f85", "franka_hand", "robotiq_3f")
@@ -114,6 +114,8 @@ def soak(minutes: float, seed: int, note: str, every: float = 60.0) -> dict[str,
         camera_process(server, picture(), rate=RATE),
     ):
         server.wait_until_active()
+        # What is loaded once and kept is loaded now: all descriptions, for instance.
+        server.call(ReloadGrippers.Request(), STARTING)
         work = Soak(server, seed)
         started = time.monotonic()
         row_at = started
