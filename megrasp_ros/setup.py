@@ -11,7 +11,7 @@ NODES = {
     "bin_clearing": "entry:bin_clearing",
     "tool_changer": "entry:tool_changer",
     "cloud_replay": "entry:cloud_replay",
-    "bench_node": "trials.bench_node:main",
+    "bench_node": "entry:bench_node",
 }
 
 setup(

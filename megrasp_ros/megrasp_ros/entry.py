@@ -35,3 +35,8 @@ def tool_changer() -> None:
 def cloud_replay() -> None:
     """Run the executable `cloud_replay`."""
     _run("cloud_replay")
+
+
+def bench_node() -> None:
+    """Run the executable `bench_node`."""
+    _run("trials.bench_node")

@@ -53,7 +53,7 @@ def bench(repeats: int, note: str, tell: Progress) -> dict[str, Any]:
         tell("without a camera")
         idle.append({"mode": "on_demand", "clouds_per_second": 0.0, "cpu": idle_cpu(server)})
         for mode in MODES:
-            server.set(points_subscription=mode)
+            server.set_parameters(points_subscription=mode)
             for rate in RATES:
                 about = {"mode": mode, "clouds_per_second": rate}
                 tell(f"{mode}, {rate:g} Hz")
@@ -151,7 +151,7 @@ def round_trips(server: ServerProcess) -> dict[str, float]:
 
 def clouds_lost(server: ServerProcess, points: Any, rate: float) -> dict[str, Any]:
     """Return how many of some clouds did not arrive, with a subscription that stays."""
-    server.set(points_subscription="continuous")
+    server.set_parameters(points_subscription="continuous")
     before = int(server.diagnostics()["clouds received"])
     count = round(rate * CLOUDS)
     started = time.monotonic()
@@ -173,9 +173,8 @@ def clouds_lost(server: ServerProcess, points: Any, rate: float) -> dict[str, An
     }
 
 
-def main() -> None:
+def main(signals: StopSignals | None = None) -> None:
     """Entry point of the executable `bench_node`."""
-    signals = StopSignals()
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -150,7 +150,7 @@ def trial(server: ServerProcess, requests: int, seed: int) -> dict[str, Any]:
 
 def _serves(server: ServerProcess) -> bool:
     """Whether a good request is answered, once all parameters are as they were."""
-    server.set(
+    server.set_parameters(
         **{
             name.replace(".", "__"): spec.default
             for name, spec in TABLE.items()

@@ -35,7 +35,7 @@ from megrasp_ros.waiting import wait_for_future
 STARTING = 240.0
 """Longest wait (s) for the node to be active on a busy machine."""
 
-SERVICES: dict[type, str] = {
+SERVICES: dict[Any, str] = {
     SynthesizeGrasps: "synthesize_grasps",
     SetGripper: "set_gripper",
     ListGrippers: "list_grippers",
@@ -79,11 +79,11 @@ class ServerProcess:
 
     def call(self, request: Any, seconds: float = 120.0) -> Any:
         """Return the answer to a request, None when none came in time."""
-        kind = next(kind for kind in SERVICES if isinstance(request, kind.Request))  # type: ignore[attr-defined]
+        kind = next(each for each in SERVICES if isinstance(request, each.Request))
         future = self.client(kind).call_async(request)
         return wait_for_future(future, seconds, context=self.node.context)
 
-    def set(self, **values: Any) -> None:
+    def set_parameters(self, **values: Any) -> None:
         """Set parameters (`__` in a name stands for a dot). Raises TrialError."""
         parameters = [
             Parameter(name.replace("__", "."), value=value).to_parameter_msg()

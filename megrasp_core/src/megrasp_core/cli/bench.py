@@ -15,7 +15,7 @@ __all__ = ["bench"]
 def bench(
     out: Path | None = None,
     device: Literal["cpu", "cuda"] = "cpu",
-    stage: Literal["synthesis", "render", "data", "training", "bins"] = "synthesis",
+    stage: Literal["synthesis", "render", "data", "training", "bins", "ros"] = "synthesis",
     gripper: str = "robotiq_2f85",
     model: str | None = None,
     threads: int | None = None,
@@ -25,19 +25,22 @@ def bench(
     against: Path | None = None,
     scenes: int = 200,
     seed: int = 0,
+    note: str = "",
 ) -> int:
     """Seconds, CPU-seconds and memory of a synthesis, from cloud to ranked list.
 
     Or CPU-seconds: `render`, to render the open and closed cloud of all registered and of 50
     procedural grippers; `data`, rates of the data generator for the grippers that are trained;
     `training`, poses a second in training beside those of an older checkout. `bins`: how often and
-    how well bins are found in simulated clouds, and how often one on a table without.
+    how well bins are found in simulated clouds, and how often one on a table without. `ros`: the answers
+    of grasp_server to its clients, clouds lost, idle load; the workspace must be sourced.
 
     Try:
       megrasp bench --threads 2 --out bench.json
       megrasp bench --stage render --out render.json
       megrasp bench --stage data --out docs/results/data_bench.json --page docs/data.md
       megrasp bench --stage bins --out docs/results/bin_finder.json --page docs/bins.md
+      megrasp bench --stage ros --out docs/results/ros_bench.json
       git worktree add ../before 1540005
       megrasp bench --stage training --data data/scenes --against ../before --repeats 3
 
@@ -55,6 +58,7 @@ def bench(
         against: checkout to compare with (training).
         scenes: scenes with a bin, and as many tables (bins).
         seed: of the first scene; the others follow (bins).
+        note: what else the machine was doing, for the result file (ros).
     """
     if scenes < 1:
         raise InvalidRequestError(f"--scenes {scenes} was given; expected at least 1.")
@@ -81,6 +85,11 @@ def bench(
                 on_progress=lambda done, _: bar.update(done - bar.n),
             )
         emit(content, out)
+        return 0
+    if stage == "ros":
+        from megrasp_core.benchmarks.ros import bench_ros
+
+        emit(bench_ros(repeats=repeats, note=note), out)
         return 0
     if stage == "render":
         from megrasp_core.benchmarks.rendering import bench_rendering
