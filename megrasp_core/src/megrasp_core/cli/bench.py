@@ -32,8 +32,8 @@ def bench(
     Or CPU-seconds: `render`, to render the open and closed cloud of all registered and of 50
     procedural grippers; `data`, rates of the data generator for the grippers that are trained;
     `training`, poses a second in training beside those of an older checkout. `bins`: how often and
-    how well bins are found in simulated clouds, and how often one on a table without. `ros`: the answers
-    of grasp_server to its clients, clouds lost, idle load; the workspace must be sourced.
+    how well bins are found in simulated clouds, and how often one on a table without. `ros`:
+    answers of grasp_server as its clients see them, clouds lost, idle load; source the workspace.
 
     Try:
       megrasp bench --threads 2 --out bench.json
