@@ -19,11 +19,14 @@ def evaluation(
     out: Path,
     protocol: Literal["binpick", "declutter", "single"] = "binpick",
     gripper_path: Path | None = None,
+    execute_with: str | None = None,
     objects: Path | None = None,
     scenes: int = 50,
     samples: int = 100,
     drawn: int = 100,
     returned: int = 20,
+    judged: int = 0,
+    count_all: Flag = False,
     friction: float = 0.8,
     views: int = 10,
     crop_floor: Literal["known", "estimated"] | None = None,
@@ -49,18 +52,25 @@ def evaluation(
       megrasp eval --gripper franka_hand --protocol declutter --crop-floor known --out c.json
       megrasp eval --gripper robotiq_2f140 --without openings sweep --out plain.json
       megrasp eval --gripper robotiq_2f85 --ceiling --samples 0 --out ceiling.json
+      megrasp eval --gripper robotiq_3f --execute-with robotiq_3f_cad --judged 20 --out t.json
 
     Args:
         gripper: name, or folder of a gripper.yaml.
         out: result file (JSON).
         protocol: what is run.
         gripper_path: folder with more grippers.
+        execute_with: another model of the gripper, name or folder, that executes what was planned
+            for the first: `<name>_cad` is the maker's CAD, and the nearest thing to another world.
         objects: every folder below it that holds a meta.json; by default procedural objects.
         scenes: bins or heaps.
         samples: poses judged one by one per scene for the unfiltered and filtered rates; 0: only
             first grasps.
         drawn: poses drawn per synthesis.
         returned: grasps returned per synthesis.
+        judged: so many of the returned grasps are judged at every stage, for the AUC of the
+            score.
+        count_all: count every attempt of binpick; by default only those made where a search with
+            true geometry, or one of the returned grasps, can lift something.
         friction: of everything.
         views: cameras around a table; 1: one side view, 52 degrees down.
         crop_floor: cut the table from the cloud, as for planners that want segmented objects, and
@@ -84,12 +94,15 @@ def evaluation(
 
     settings = ProtocolSettings(
         protocol=protocol, scenes=scenes, samples=samples, drawn=drawn, returned=returned,
-        friction=friction, views=views, crop_floor=crop_floor, seed=seed,
+        judged=judged, possible_only=protocol == "binpick" and not count_all, friction=friction,
+        views=views, crop_floor=crop_floor, seed=seed,
     )  # fmt: skip
-    loaded = load_gripper(gripper, () if gripper_path is None else (gripper_path,))
+    paths = () if gripper_path is None else (gripper_path,)
+    loaded = load_gripper(gripper, paths)
+    executing = loaded if execute_with is None else load_gripper(execute_with, paths)
     planner: Planner
     if ceiling:
-        planner = CeilingPlanner(loaded)
+        planner = CeilingPlanner(executing)
     elif baseline:
         planner = AntipodalPlanner(loaded)
     else:
@@ -105,9 +118,9 @@ def evaluation(
     pool = load_pool(objects)
     with progress_bar(len(pool), "graspable objects") as bar:
         usable = graspable_objects(
-            loaded, pool, on_progress=lambda done, _: bar.update(done - bar.n)
+            executing, pool, on_progress=lambda done, _: bar.update(done - bar.n)
         )
-    say(f"{len(usable)} of {len(pool)} objects can be held by {loaded.name}")
+    say(f"{len(usable)} of {len(pool)} objects can be held by {executing.name}")
     place = "procedural" if objects is None else "/".join(objects.resolve().parts[-2:])
     with progress_bar(settings.scenes, protocol) as bar:
 
@@ -126,9 +139,12 @@ def evaluation(
                     + ", ".join(f"{key} {value}" for key, value in rates.items())
                 )
 
-        result = evaluate(settings, loaded, planner, pool, usable, objects=place, on_scene=tell)
+        result = evaluate(
+            settings, executing, planner, pool, usable, objects=place, planned_for=loaded.name,
+            on_scene=tell,
+        )  # fmt: skip
     content = result.to_json()
-    for key in ("first", "filtered", "unfiltered"):
+    for key in ("first", "first_all", "filtered", "unfiltered", "judged"):
         if content.get(key, {}).get("trials"):
             row = content[key]
             low, high = row["ci95"]
