@@ -69,11 +69,9 @@ def run_node(
     """
     signals = signals or StopSignals()
     import rclpy
-    from rclpy.signals import SignalHandlerOptions
 
     signals.orderly = True
-    remove_stale_segments()
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    _start_rclpy()
     nodes: list[Runnable] = []
     code = _serve(make, nodes, threads, signals)
     # Here, where nothing holds the executor any more.
@@ -96,13 +94,11 @@ def run_program(run: Callable[[], int], *, signals: StopSignals | None = None) -
     import rclpy
     from rclpy.exceptions import ParameterException
     from rclpy.logging import get_logger
-    from rclpy.signals import SignalHandlerOptions
 
     from megrasp_core.errors import MegraspError
 
     signals.orderly = True
-    remove_stale_segments()
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    _start_rclpy()
 
     def shut_down() -> None:
         signals.event.wait()
@@ -120,6 +116,22 @@ def run_program(run: Callable[[], int], *, signals: StopSignals | None = None) -
         code = INTERRUPTED
     rclpy.try_shutdown()
     leave(INTERRUPTED if signals.event.is_set() else code)
+
+
+def _start_rclpy() -> None:
+    """Start rclpy, or leave with 2 and one line when the command line cannot be read."""
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
+    remove_stale_segments()
+    try:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:
+        sys.stderr.write(
+            f"{str(error).splitlines()[0]}\nExpected arguments such as --ros-args -p name:=value; "
+            "the numbers of a list all with a decimal point, [0.0, 0.0, 1.0].\n"
+        )
+        leave(2)
 
 
 def leave(code: int) -> NoReturn:

@@ -100,3 +100,11 @@ def test_a_node_ends_in_every_phase(name: str, number: int, tmp_path: Path) -> N
             code = running.stop(f"{name}_{delay}", number)
             assert code in (0, 130), (delay, running.log(f"{name}_{delay}"))
             assert "Traceback" not in running.log(f"{name}_{delay}")
+
+
+def test_arguments_that_cannot_be_read_end_a_node_with_2(tmp_path: Path) -> None:
+    with processes(own_domain(1), tmp_path) as running:
+        process = running.start("tool_changer", x="[0, 0, 1.0]")
+        assert process.wait(WAIT) == 2
+        log = running.log("tool_changer")
+    assert "Traceback" not in log and "[0.0, 0.0, 1.0]" in log

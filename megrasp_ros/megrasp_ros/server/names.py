@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Name:
-    """A topic, service or action; `kind` is its type, "in" says that the node listens."""
+    """A topic, service or action; `kind` is its type, `heard` says that the node listens."""
 
     kind: str
     text: str
