@@ -44,14 +44,18 @@ PAUSE = 0.002
 Progress = Callable[[str], None]
 
 
-def bench(repeats: int, note: str, tell: Progress) -> dict[str, Any]:
-    """Return the result file."""
+def bench(
+    repeats: int, note: str, tell: Progress, command: list[str] | None = None
+) -> dict[str, Any]:
+    """Return the result file; `command` in place of grasp_server."""
     others = other_load()
     points = picture()
     idle: list[dict[str, Any]] = []
     requests: list[dict[str, Any]] = []
     lost: list[dict[str, Any]] = []
-    with server_process({**region_parameters(), "request_timeout": LONGEST}) as server:
+    with server_process(
+        {**region_parameters(), "request_timeout": LONGEST}, command=command
+    ) as server:
         server.wait_until_active()
         tell("without a camera")
         idle.append({"mode": "on_demand", "clouds_per_second": 0.0, "cpu": idle_cpu(server)})
@@ -185,13 +189,15 @@ def main(signals: StopSignals | None = None) -> None:
     parser.add_argument("--repeats", type=int, default=7, help="timed requests per row")
     parser.add_argument("--note", default="", help="what else the machine was doing")
     parser.add_argument("--out", type=Path, help="result file (JSON); by default printed")
+    parser.add_argument("--server", nargs="+", help="command in place of grasp_server")
     arguments = parser.parse_args()
 
     def run() -> int:
         def tell(what: str) -> None:
             sys.stderr.write(f"{what}\n")
 
-        text = json.dumps(bench(arguments.repeats, arguments.note, tell), indent=1) + "\n"
+        record = bench(arguments.repeats, arguments.note, tell, arguments.server)
+        text = json.dumps(record, indent=1) + "\n"
         if arguments.out is None:
             sys.stdout.write(text)
         else:
