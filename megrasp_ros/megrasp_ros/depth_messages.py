@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image
 
 from megrasp_core.errors import CloudError
-from megrasp_core.pointcloud import Cloud, depth_cloud
 
 from .conversions import whole_labels
 from .errors import shortened
+
+if TYPE_CHECKING:
+    from megrasp_core.pointcloud import Cloud
 
 DEPTHS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 """Encodings of depth images: whole numbers are millimetres, floats metres."""
@@ -32,6 +36,8 @@ def cloud_from_depth(depth: Image, info: CameraInfo, mask: Image | None) -> Clou
     Raises CloudError when an encoding is unknown, the messages do not fit together, the image is
     distorted, or no pixel has a reading.
     """
+    from megrasp_core.pointcloud import depth_cloud
+
     image = _pixels(depth, DEPTHS, "depth image")
     _check_camera(depth, info)
     labels = None

@@ -22,6 +22,11 @@ def sim_cell() -> None:
     _run("cell.sim_cell")
 
 
+def bin_clearing() -> None:
+    """Run the executable `bin_clearing`."""
+    _run("clearing.bin_clearing")
+
+
 def tool_changer() -> None:
     """Run the executable `tool_changer`."""
     _run("tool_changer")
@@ -30,3 +35,8 @@ def tool_changer() -> None:
 def cloud_replay() -> None:
     """Run the executable `cloud_replay`."""
     _run("cloud_replay")
+
+
+def bench_node() -> None:
+    """Run the executable `bench_node`."""
+    _run("trials.bench_node")

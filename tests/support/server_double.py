@@ -3,7 +3,7 @@
 The parameter `model` says how the double behaves: `quick` and `slow` return grasps above the
 cloud's centre, `none` finds nothing, `memory` runs out of memory, `short` does unless few poses
 are computed at a time, `preferring` scores robotiq_3f higher, `broken` fails, `damaged` cannot be
-loaded.
+loaded, `late` takes its time to be.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from megrasp_ros.server.grasp_server import main
 STEPS = 20
 SLOW_STEP = 0.25
 FEW = 16
+LATE = 8.0
 
 
 class DoubleSynthesizer:
@@ -120,6 +121,8 @@ def _about_z(angle: float) -> np.ndarray:
 
 
 def make(model: str | None, device: str, threads: int | None) -> DoubleSynthesizer:
+    if model == "late":
+        time.sleep(LATE)
     if model == "damaged":
         raise ModelError(
             "model.safetensors of 'damaged' does not fit; expected a model folder. Set `model`."

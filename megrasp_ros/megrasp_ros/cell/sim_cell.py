@@ -16,6 +16,7 @@ import math
 import traceback
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time as TimeMessage
@@ -65,8 +66,9 @@ FUTURE_TOLERANCE = 1.0
 class SimCell(Node):
     """The cell as a node. The services exist once the objects have settled, so wait for them."""
 
-    def __init__(self) -> None:
-        super().__init__("sim_cell")
+    def __init__(self, name: str = "sim_cell", **options: Any) -> None:
+        """Make the node; `options` are those of rclpy's Node: namespace, context and so on."""
+        super().__init__(name, **options)
         self._settings = declare_cell_parameters(self)
         self._cell = make_cell(self._settings)
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="cell")

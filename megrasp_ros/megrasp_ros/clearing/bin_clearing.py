@@ -6,33 +6,30 @@ Before every pick it leaves a picture of the cloud and the ranked grasps, at the
 sheet and summary.json.
 
 Exit code: 0 the run was completed, even if objects are left (the summary tells), 1 a part of the
-system failed, 2 wrong parameters.
+system failed, 2 wrong parameters, 130 a signal.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
-import sys
 import threading
 import time
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from builtin_interfaces.msg import Time as TimeMessage
 from megrasp_msgs.msg import ErrorCode
 from megrasp_msgs.srv import SynthesizeGrasps
-from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
 
 from megrasp_core.cell.clearing import ClearingPlan, PickRecord
-from megrasp_core.errors import MegraspError
 from megrasp_core.storage import AttemptFolder
 from megrasp_ros.client import GraspClient, GraspServerError
 from megrasp_ros.conversions import box_from_message, matrix_from_pose, pose_from_matrix
+from megrasp_ros.process import StopSignals, run_program
 from megrasp_ros.spinning import spin
 
 from .parameters import ClearingParameters, declare_clearing_parameters
@@ -211,41 +208,27 @@ class BinClearing:
         )
 
 
-def main() -> None:
+def main(signals: StopSignals | None = None) -> None:
     """Entry point of the executable `bin_clearing`."""
-    sys.exit(_run())
+    run_program(_run, signals=signals)
 
 
 def _run() -> int:
-    rclpy.init()
-    log = get_logger("bin_clearing")
     executor = SingleThreadedExecutor()
-    spinner: threading.Thread | None = None
+    spinner = threading.Thread(target=_spin, args=(executor,), daemon=True)
     try:
         node = Node("bin_clearing")
         clearing = BinClearing(node, declare_clearing_parameters(node))
         executor.add_node(node)
-        spinner = threading.Thread(target=_spin, args=(executor,), daemon=True)
         spinner.start()
         clearing.run()
         return 0
-    except (MegraspError, ParameterException) as error:
-        log.fatal(str(error))
-        return 2
     except SystemFailure as error:
-        log.fatal(str(error))
+        get_logger("bin_clearing").fatal(str(error))
         return 1
-    except (KeyboardInterrupt, ExternalShutdownException):
-        return 130
-    except Exception:
-        # A signal makes rclpy's handles invalid under whatever call is running.
-        if rclpy.ok():
-            raise
-        return 130
     finally:
         executor.shutdown()
-        rclpy.try_shutdown()
-        if spinner is not None:
+        if spinner.is_alive():
             spinner.join(timeout=5.0)
 
 

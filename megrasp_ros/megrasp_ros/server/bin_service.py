@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from megrasp_msgs.srv import DetectBin
 from rclpy.callback_groups import CallbackGroup
 
-from megrasp_core.pointcloud import FoundBin, find_bin
 from megrasp_ros.conversions import message_from_box
 from megrasp_ros.errors import describe
 from megrasp_ros.lifecycle import GuardedLifecycleNode
@@ -21,6 +20,9 @@ from . import parameters
 from .parameters import Settings
 from .sensing import Sensing
 from .worker import Job
+
+if TYPE_CHECKING:
+    from megrasp_core.pointcloud import FoundBin
 
 
 class RunJob(Protocol):
@@ -82,6 +84,8 @@ class BinService:
             given=request.cloud if request.cloud.width else None,
             not_before=Time(),
         )
+        from megrasp_core.pointcloud import find_bin
+
         found = find_bin(sensed.cloud, sensed.gravity, size=size if size.any() else None)
         job.check()
         return found

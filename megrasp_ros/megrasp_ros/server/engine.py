@@ -7,16 +7,18 @@ import logging
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from megrasp_core.errors import MegraspError, ModelError
-from megrasp_core.grippers import Gripper
 from megrasp_core.machine import is_out_of_memory
 from megrasp_ros.errors import ShortMemoryError
 
 from .parameters import Settings
+
+if TYPE_CHECKING:
+    from megrasp_core.grippers import Gripper
 
 Factory = Callable[[str | None, str, int | None], Any]
 """(model or None, device, threads or None) -> an object like

@@ -12,7 +12,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
@@ -24,12 +24,12 @@ from rclpy.parameter import Parameter
 from rclpy.timer import Timer
 
 from megrasp_core.errors import InvalidRequestError
-from megrasp_core.grippers import Gripper
 from megrasp_ros.errors import BinEmptyError, ConfigureError, NotActiveError, describe
+from megrasp_ros.fast_dds import shared_memory_warning
 from megrasp_ros.lifecycle import GuardedLifecycleNode
 from megrasp_ros.logs import forward_logs
+from megrasp_ros.memory import few_arenas
 from megrasp_ros.process import StopSignals, run_node
-from megrasp_ros.shared_memory import shared_memory_warning
 from megrasp_ros.waiting import wake_when
 
 from . import parameters
@@ -51,6 +51,9 @@ from .synthesis import OnStep, SynthesisRunner
 from .synthesis_services import SynthesisServices
 from .tool_state import Claim, ToolState
 from .worker import Job, Worker
+
+if TYPE_CHECKING:
+    from megrasp_core.grippers import Gripper
 
 STOP = 30.0
 """Longest wait (s) for a job to stop when the node is deactivated."""
@@ -148,9 +151,9 @@ class GraspServer(GuardedLifecycleNode):
         loaded or a parameter does not fit what there is.
         """
         started = time.monotonic()
-        settings = parameters.read(self)
         try:
-            self._worker.submit(Job("configure", lambda job: self._load(settings, job))).wait()
+            # In the worker, the import of torch included; services answer meanwhile.
+            self._worker.submit(Job("configure", self._load)).wait()
         except Exception as error:
             self._not_configured, self._error = error, describe(error)[1]
             self.guard.tell("configuring failed", error)
@@ -224,7 +227,12 @@ class GraspServer(GuardedLifecycleNode):
 
     # Jobs
 
-    def _load(self, settings: Settings, job: Job) -> None:
+    def _load(self, job: Job) -> None:
+        # Here and nowhere earlier: this is what takes seconds.
+        import megrasp_core.synthesizer  # noqa: F401
+
+        settings = parameters.read(self)
+        parameters.declare_flanges(self, self._live)
         wrong = self._live.wrong(TABLE, {name: self.get_parameter(name).value for name in TABLE})
         # Grippers and model give the reason in their own words, below.
         if wrong and not wrong.startswith(("parameter gripper:", "parameter model:")):
@@ -348,9 +356,9 @@ class GraspServer(GuardedLifecycleNode):
         self._publish_diagnostics()
 
     def _publish_diagnostics(self) -> None:
-        settings, job, active = parameters.read(self), self._worker.current, self._state.active
-        frame = settings.planning_frame or "frame of the cloud"
-        source = self._sensing.source(settings)
+        job, active = self._worker.current, self._state.active
+        frame = self.get_parameter("planning_frame").value or "frame of the cloud"
+        source = self._sensing.source(str(self.get_parameter("input").value))
         self._diagnostics.publish(
             diagnostics(
                 name=self.get_fully_qualified_name(),
@@ -387,6 +395,7 @@ def main(factory: Factory = load_synthesizer, signals: StopSignals | None = None
             node.get_logger().warning(small)
         return node
 
+    few_arenas()
     run_node(make, threads=6, signals=signals)
 
 

@@ -11,18 +11,14 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from megrasp_core.errors import DescriptionError
-from megrasp_core.grippers import (
-    FILE_NAME,
-    Gripper,
-    gripper_folders,
-    is_procedural,
-    load_gripper,
-)
 from megrasp_ros.bounded import StillRunningError, bounded
 from megrasp_ros.errors import UnknownNameError, shortened
+
+if TYPE_CHECKING:
+    from megrasp_core.grippers import Gripper
 
 MOST = 64
 """Grippers that are kept loaded."""
@@ -59,6 +55,8 @@ class GripperShelf:
 
         Raises UnknownNameError; DescriptionError when it cannot be looked up.
         """
+        from megrasp_core.grippers import is_procedural
+
         folders = self._folders(paths)
         if name in folders:
             return str(folders[name])
@@ -118,6 +116,8 @@ class GripperShelf:
     def _read(
         self, place: str, name: str, paths: Paths, seconds: float, check: Check | None
     ) -> Gripper:
+        from megrasp_core.grippers import gripper_folders, load_gripper
+
         def read() -> Gripper:
             try:
                 registered = name in gripper_folders(paths)
@@ -148,6 +148,9 @@ class GripperShelf:
             self._kept.popitem(last=False)
 
     def _folders(self, paths: Paths) -> dict[str, Path]:
+        # Outside the time limit: the first import takes longer than any disk.
+        from megrasp_core.grippers import gripper_folders
+
         return self._look(lambda: gripper_folders(paths), ", ".join(paths))
 
     def _look(self, call: Callable[[], T], what: str) -> T:
@@ -161,6 +164,8 @@ class GripperShelf:
 
 def _description_file(name: str) -> Path | None:
     """Return the gripper.yaml that a path leads to, None when there is none."""
+    from megrasp_core.grippers import FILE_NAME
+
     try:
         path = Path(name).expanduser()
         file = (path / FILE_NAME if path.is_dir() else path).resolve(strict=True)

@@ -18,8 +18,8 @@ from rclpy.expand_topic_name import expand_topic_name
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from megrasp_core.errors import InvalidRequestError
-from megrasp_core.synthesizer import MAX_DRAWN, MAX_GRASPS
-from megrasp_ros.conversions import FARTHEST, matrix_from_numbers
+from megrasp_core.limits import MAX_DRAWN, MAX_GRASPS
+from megrasp_ros.conversions import FARTHEST, checked_pose
 from megrasp_ros.errors import shortened
 
 from .stamps import LONGEST_NAME
@@ -107,7 +107,7 @@ def pose_check(unset_allowed: bool) -> Check:
         if unset_allowed and len(value) == 7 and not any(value):
             return ""
         try:
-            matrix_from_numbers(list(value), "the value")
+            checked_pose(list(value), "the value")
         except InvalidRequestError as error:
             return str(error)
         return ""

@@ -7,6 +7,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -16,7 +17,6 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Header
 
 from megrasp_core.errors import InvalidRequestError
-from megrasp_core.pointcloud import Cloud, OrientedBox, check_view
 from megrasp_ros.conversions import LABEL, cloud_from_message
 from megrasp_ros.depth_messages import cloud_from_depth
 
@@ -25,6 +25,9 @@ from .parameters import Settings
 from .sensor_source import SensorSource, Topic
 from .stamps import StampCheck
 from .worker import Job
+
+if TYPE_CHECKING:
+    from megrasp_core.pointcloud import Cloud, OrientedBox
 
 FloatArray = NDArray[np.float64]
 
@@ -75,9 +78,9 @@ class Sensing:
         self._stamps = StampCheck(node)
         self._sources = {"points": SensorSource(node, POINTS), "depth": SensorSource(node, DEPTH)}
 
-    def source(self, settings: Settings) -> SensorSource:
-        """Return the sensor that counts."""
-        return self._sources[settings.input]
+    def source(self, name: str) -> SensorSource:
+        """Return the sensor of this value of the parameter `input`."""
+        return self._sources[name]
 
     def follow(
         self, settings: Settings, *, continuous: bool, on_arrival: Callable[[], None] | None
@@ -122,6 +125,8 @@ class Sensing:
             NoCloudError, StaleCloudError, CloudError, TransformError, GravityError; what
             `job.check` raises; InvalidRequestError for a target where objects are not told apart.
         """
+        from megrasp_core.pointcloud import check_view
+
         begun = job.elapsed
         view = self._view(job, settings, given, not_before, target)
         waited = job.elapsed - begun
@@ -151,7 +156,7 @@ class Sensing:
         not_before: Time,
         target: int | None,
     ) -> _View:
-        source = self.source(settings)
+        source = self.source(settings.input)
         if given is not None:
             self._stamps.given(given.header, not_before)
             return _of_cloud(given, settings, "the cloud of the request")
@@ -169,6 +174,8 @@ class Sensing:
 
 def _of_cloud(message: PointCloud2, settings: Settings, what: str) -> _View:
     def decode() -> Cloud:
+        from megrasp_core.pointcloud import Cloud
+
         cloud = cloud_from_message(message)
         return Cloud(cloud.points, None, settings.sensor_origin, cloud.labels)
 

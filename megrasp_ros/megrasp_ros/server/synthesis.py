@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from megrasp_msgs.msg import ErrorCode, GraspArray
 from numpy.typing import NDArray
 from std_msgs.msg import Header
 
-from megrasp_core.grippers import Gripper
-from megrasp_core.synthesizer import PoseSet
 from megrasp_ros.errors import BinEmptyError
 
 from .engine import Engine, best_of
@@ -21,6 +19,10 @@ from .parameters import Settings
 from .requests import ParsedRequest
 from .sensing import Sensing
 from .worker import Job
+
+if TYPE_CHECKING:
+    from megrasp_core.grippers import Gripper
+    from megrasp_core.synthesizer import PoseSet
 
 FloatArray = NDArray[np.float64]
 OnStep = Callable[[str, int, int, GraspArray | None], None]

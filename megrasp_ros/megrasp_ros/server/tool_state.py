@@ -11,14 +11,16 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from megrasp_core.errors import MegraspError
-from megrasp_core.grippers import Gripper
 from megrasp_ros.errors import BusyError, NotActiveError, ToolMismatchError, shortened
 
 LONGEST_NAME = 255
 """Of a tool that somebody reports: every diagnosis tells it again."""
+
+if TYPE_CHECKING:
+    from megrasp_core.grippers import Gripper
 
 
 class Told(Protocol):

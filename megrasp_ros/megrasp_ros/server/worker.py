@@ -174,7 +174,8 @@ class Worker:
         for job in there:
             job.cancel(reason)
         end = time.monotonic() + timeout
-        return all([job.done.wait(max(0.0, end - time.monotonic())) for job in there])
+        ended = [job.done.wait(max(0.0, end - time.monotonic())) for job in there]
+        return all(ended)
 
     def close(self, timeout: float = 10.0) -> None:
         """Cancel the running job and end the thread."""

@@ -16,7 +16,7 @@ def bench(
     out: Path | None = None,
     device: Literal["cpu", "cuda"] = "cpu",
     stage: Literal[
-        "synthesis", "render", "data", "training", "bins", "serve", "startup"
+        "synthesis", "render", "data", "training", "bins", "serve", "startup", "ros"
     ] = "synthesis",
     gripper: str = "robotiq_2f85",
     model: str | None = None,
@@ -27,6 +27,7 @@ def bench(
     against: Path | None = None,
     scenes: int = 200,
     seed: int = 0,
+    note: str = "",
 ) -> int:
     """Seconds, CPU-seconds and memory of a synthesis, from cloud to ranked list.
 
@@ -35,13 +36,15 @@ def bench(
     `training`, poses a second in training beside those of an older checkout. `bins`: how often and
     how well bins are found in simulated clouds, and how often one on a table without. `serve`: a
     request to the resident planner beside the same call in the process. `startup`: CPU-seconds
-    until a command can begin, beside those of an older checkout.
+    until a command can begin, beside those of an older checkout. `ros`: answers of grasp_server as
+    its clients see them, clouds lost, idle load; source the workspace.
 
     Try:
       megrasp bench --threads 2 --out bench.json
       megrasp bench --stage render --out render.json
       megrasp bench --stage data --out docs/results/data_bench.json --page docs/data.md
       megrasp bench --stage bins --out docs/results/bin_finder.json --page docs/bins.md
+      megrasp bench --stage ros --out docs/results/ros_bench.json
       git worktree add ../before 1540005
       megrasp bench --stage training --data data/scenes --against ../before --repeats 3
       megrasp bench --stage serve --out docs/results/serve_bench.json
@@ -62,6 +65,7 @@ def bench(
         against: checkout to compare with (training, startup).
         scenes: scenes with a bin, and as many tables (bins).
         seed: of the first scene; the others follow (bins).
+        note: what else the machine was doing, for the result file (ros).
     """
     if scenes < 1:
         raise InvalidRequestError(f"--scenes {scenes} was given; expected at least 1.")
@@ -90,6 +94,11 @@ def bench(
                 on_progress=lambda done, _: bar.update(done - bar.n),
             )
         emit(content, out)
+        return 0
+    if stage == "ros":
+        from megrasp_core.benchmarks.ros import bench_ros
+
+        emit(bench_ros(repeats=repeats, note=note), out)
         return 0
     if stage == "render":
         from megrasp_core.benchmarks.rendering import bench_rendering
