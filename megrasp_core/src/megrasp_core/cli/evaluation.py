@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from .clutter import clutter_rates
 from .common import Flag, emit, progress_bar, say
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ __all__ = ["evaluation"]
 def evaluation(
     gripper: str,
     out: Path,
-    protocol: Literal["binpick", "declutter", "single"] = "binpick",
+    protocol: Literal["binpick", "declutter", "single", "packed", "pile"] = "binpick",
     gripper_path: Path | None = None,
     objects: Path | None = None,
     scenes: int = 50,
@@ -27,6 +28,9 @@ def evaluation(
     friction: float = 0.8,
     views: int = 10,
     crop_floor: Literal["known", "estimated"] | None = None,
+    engine: Literal["pybullet", "mujoco"] = "pybullet",
+    depth_noise: Literal["gaussian", "dexnet", "none"] = "gaussian",
+    picture: Path | None = None,
     model: str | None = None,
     baseline: Flag = False,
     ceiling: Flag = False,
@@ -39,7 +43,10 @@ def evaluation(
 
     In binpick, a bin of 10 objects and 2 obstacles, one noisy top-down view, the first grasp is
     executed with its approach path until the bin is empty or the robot gives up. In declutter, a
-    heap on a table, ten views. In single, one object on a table.
+    heap on a table, ten views. In single, one object on a table. packed and pile are the rounds of
+    clutter removal of VGN, GIGA and Edge-Grasp, by default in PyBullet (extra `bench`): five
+    objects, upright or dropped, one view from the side; GSR is successes / attempts, DR objects
+    removed / objects.
 
     Try:
       megrasp eval --gripper robotiq_2f85 --out binpick.json
@@ -48,6 +55,8 @@ def evaluation(
       megrasp eval --gripper franka_hand --protocol declutter --views 1 --out side.json
       megrasp eval --gripper franka_hand --protocol declutter --crop-floor known --out c.json
       megrasp eval --gripper robotiq_2f140 --without openings sweep --out plain.json
+      megrasp eval --gripper franka_hand --protocol packed --scenes 100 --out packed.json
+      megrasp eval --gripper franka_hand --protocol pile --engine mujoco --out pile.json
       megrasp eval --gripper robotiq_2f85 --ceiling --samples 0 --out ceiling.json
 
     Args:
@@ -55,16 +64,21 @@ def evaluation(
         out: result file (JSON).
         protocol: what is run.
         gripper_path: folder with more grippers.
-        objects: every folder below it that holds a meta.json; by default procedural objects.
-        scenes: bins or heaps.
+        objects: every folder below it that holds a meta.json, for packed and pile every URDF file
+            where there are any; by default procedural objects.
+        scenes: bins, heaps or rounds.
         samples: poses judged one by one per scene for the unfiltered and filtered rates; 0: only
-            first grasps.
+            first grasps. Not for packed and pile.
         drawn: poses drawn per synthesis.
         returned: grasps returned per synthesis.
         friction: of everything.
         views: cameras around a table; 1: one side view, 52 degrees down.
         crop_floor: cut the table from the cloud, as for planners that want segmented objects, and
             tell the planner its height and the region, or leave both to be estimated.
+        engine: of packed and pile; pybullet takes grippers whose fingers slide.
+        depth_noise: of packed and pile: 0.8 mm a point as in Edge-Grasp's simulator, that of
+            Dex-Net 2.0 as in GIGA, or none.
+        picture: PNG of the first round of packed or pile, attempt by attempt.
         model: id or folder.
         baseline: the analytic antipodal baseline instead of the model.
         ceiling: a planner that knows the true geometry and tries grasps before it names one: how
@@ -74,7 +88,9 @@ def evaluation(
         threads: torch threads.
         seed: of scenes, noise and samples.
     """
+    from megrasp_core.errors import InvalidRequestError
     from megrasp_core.evaluation.ceiling import CeilingPlanner
+    from megrasp_core.evaluation.clutter_removal.protocol import ClutterSettings
     from megrasp_core.evaluation.object_pool import graspable_objects, load_pool
     from megrasp_core.evaluation.planners import AntipodalPlanner, ModelPlanner
     from megrasp_core.evaluation.protocols import ProtocolSettings
@@ -82,10 +98,28 @@ def evaluation(
     from megrasp_core.grippers import load_gripper
     from megrasp_core.synthesizer import GraspSynthesizer, SynthesizerSettings
 
-    settings = ProtocolSettings(
-        protocol=protocol, scenes=scenes, samples=samples, drawn=drawn, returned=returned,
-        friction=friction, views=views, crop_floor=crop_floor, seed=seed,
-    )  # fmt: skip
+    rounds: ClutterSettings | None = None
+    settings: ProtocolSettings | None = None
+    if protocol == "packed" or protocol == "pile":
+        if ceiling or crop_floor or views != 10:
+            raise InvalidRequestError(
+                f"--ceiling, --crop-floor or --views was given with {protocol}; expected none of "
+                "them: its rounds have one side view of the whole table. Leave them out."
+            )
+        rounds = ClutterSettings(
+            scene=protocol, rounds=scenes, engine=engine, drawn=drawn, returned=returned,
+            friction=friction, noise=depth_noise, seed=seed,
+        )  # fmt: skip
+    elif picture is not None or engine != "pybullet" or depth_noise != "gaussian":
+        raise InvalidRequestError(
+            f"--picture, --engine or --depth-noise was given with {protocol}; expected them with "
+            "packed or pile. Leave them out."
+        )
+    else:
+        settings = ProtocolSettings(
+            protocol=protocol, scenes=scenes, samples=samples, drawn=drawn, returned=returned,
+            friction=friction, views=views, crop_floor=crop_floor, seed=seed,
+        )  # fmt: skip
     loaded = load_gripper(gripper, () if gripper_path is None else (gripper_path,))
     planner: Planner
     if ceiling:
@@ -102,6 +136,9 @@ def evaluation(
                 settings=SynthesizerSettings().without(without),
             )
         )
+    if rounds is not None:
+        return clutter_rates(rounds, loaded, planner, objects, out, picture)
+    assert settings is not None
     pool = load_pool(objects)
     with progress_bar(len(pool), "graspable objects") as bar:
         usable = graspable_objects(
