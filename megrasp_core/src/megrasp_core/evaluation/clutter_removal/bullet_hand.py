@@ -63,8 +63,8 @@ def sliding_fingers(gripper: Gripper) -> tuple[list[Mesh], list[Finger]]:
     carried = {int(model.jnt_bodyid[j]) for j in moving}
     if not moving or any(model.jnt_type[j] != slides for j in moving) or parents & carried:
         raise InvalidRequestError(
-            f"gripper {gripper.name!r} has fingers that do not slide; expected a parallel one such "
-            "as franka_hand, because PyBullet closes no other here. Give --engine mujoco."
+            f"gripper {gripper.name!r} has fingers that do not slide; expected one such as "
+            "franka_hand: PyBullet closes no others here. Give --engine mujoco."
         )
     opened, closed = gripper.qpos("open"), gripper.qpos("closed")
     data = mujoco.MjData(model)
@@ -135,7 +135,8 @@ class BulletHand:
         )
         for link in range(count):
             engine.changeDynamics(
-                self.body, link, lateralFriction=friction, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0,
+                self.body, link, lateralFriction=friction,
+                linearDamping=0.0, angularDamping=0.0, jointDamping=0.0,
             )  # fmt: skip
             engine.setCollisionFilterGroupMask(self.body, link, 2, 1)
         self._first = PALM + 1

@@ -67,5 +67,5 @@ def shrunk(points: NDArray[np.float64], margin: float) -> NDArray[np.float64]:
         b_ub=-equations[:, 3],
         bounds=[(None, None)] * 3 + [(0.0, None)],
     )
-    moved = equations + [0.0, 0.0, 0.0, min(margin, 0.8 * float(ball.x[3]))]
-    return HalfspaceIntersection(moved, ball.x[:3]).intersections
+    equations[:, 3] += min(margin, 0.8 * float(ball.x[3]))
+    return HalfspaceIntersection(equations, ball.x[:3]).intersections

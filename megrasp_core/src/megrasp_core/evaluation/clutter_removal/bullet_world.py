@@ -71,8 +71,8 @@ class BulletWorld(ClutterWorld):
             raise MissingPackageError(
                 "pybullet",
                 "bench",
-                "the protocols packed and pile; --engine mujoco does without, and Python 3.12 needs "
-                "`pip install pybullet`, which compiles it",
+                "packed and pile, of which --engine mujoco does without (Python 3.12: `pip install "
+                "pybullet` compiles it)",
             ) from None
         self._engine: Any = BulletClient(pybullet.DIRECT)
         engine = self._engine
@@ -144,7 +144,7 @@ class BulletWorld(ClutterWorld):
         body = self._bodies[index]
         # Without mass it stays where it is put.
         self._engine.changeDynamics(body, -1, mass=0.0)
-        place = PARKED + [float(index), 0.0, 0.0]
+        place = PARKED + np.array([float(index), 0.0, 0.0])
         self._engine.resetBasePositionAndOrientation(body, place.tolist(), [0.0, 0.0, 0.0, 1.0])
 
     def poses(self) -> NDArray[np.float64]:
