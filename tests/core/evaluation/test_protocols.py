@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from megrasp_core.errors import InvalidRequestError
-from megrasp_core.evaluation.ceiling import CeilingPlanner, CeilingSettings
+from megrasp_core.evaluation.ceiling import CeilingPlanner
 from megrasp_core.evaluation.object_pool import graspable_objects, load_pool
 from megrasp_core.evaluation.planners import AntipodalPlanner, Planner
 from megrasp_core.evaluation.protocols import ProtocolSettings, run_scene
 from megrasp_core.evaluation.report import evaluate
+from megrasp_core.evaluation.search import GraspSearch, SearchSettings
 from megrasp_core.grippers import load_gripper
 from megrasp_core.objects import procedural_object
 from megrasp_core.pointcloud import Cloud
@@ -86,7 +87,7 @@ def test_antipodal_baseline_lifts_single_boxes(gripper, pool):
 
 def test_the_ceiling_names_only_grasps_that_succeed(gripper, pool):
     settings = ProtocolSettings(scenes=1, graspable=3, obstacles=1)
-    planner = CeilingPlanner(gripper, CeilingSettings(candidates=200, moved=30, rounds=4))
+    planner = CeilingPlanner(gripper, SearchSettings(candidates=200, moved=30, rounds=4))
     outcome = run_scene(settings, gripper, planner, pool, range(8), 0)
     assert outcome.removed > 0
     assert {reason for _, reason in outcome.first} <= {"success", "no_answer"}
@@ -106,6 +107,80 @@ def test_ranked_grasps_are_judged_and_the_state_is_restored(gripper, pool):
     )
     assert 0 < len(judged.ranked) <= 3
     assert judged.ranked[0][1:] == judged.first[0]
+
+
+class NothingFound(GraspSearch):
+    """A search that finds nothing."""
+
+    def find(self, world, goals, rng):
+        return None
+
+
+class WrongOrder(Scripted):
+    """Knows a grasp that holds and puts one in the air before it."""
+
+    def __init__(self, search: GraspSearch) -> None:
+        super().__init__(AIR)
+        self.search = search
+
+    def look_inside(self, world, models):
+        self.stage = world, models
+
+    def plan(self, cloud, **options):
+        result = super().plan(cloud, **options)
+        found = self.search.find(*self.stage, np.random.default_rng(0))
+        assert found is not None
+        good = dataclasses.replace(
+            result.grasps[0],
+            world_from_gripper=found,
+            world_from_gripper_approach=self.search.stand_off(found),
+        )
+        return dataclasses.replace(result, grasps=[*result.grasps, good])
+
+
+AIR = np.diag([1.0, -1.0, -1.0, 1.0])
+AIR[2, 3] = 0.6
+QUICK = SearchSettings(candidates=200, moved=30, rounds=4)
+POSSIBLE = ProtocolSettings(scenes=1, graspable=1, obstacles=0, possible_only=True)
+
+
+def test_attempts_where_nothing_can_be_lifted_do_not_count(gripper, pool):
+    search = NothingFound(gripper)
+    outcome = run_scene(POSSIBLE, gripper, Scripted(AIR), pool, range(8), 0, search=search)
+    assert (outcome.counted, outcome.unreachable) == (0, 1)
+    # The old counting goes on to the third failure.
+    assert len(outcome.first) == 3
+
+
+def test_attempts_where_the_search_finds_a_grasp_count(gripper, pool):
+    search = GraspSearch(gripper, QUICK)
+    outcome = run_scene(POSSIBLE, gripper, Scripted(AIR), pool, range(8), 1, search=search)
+    assert len(outcome.first) == 3
+    assert (outcome.counted, outcome.unreachable) == (None, 0)
+
+
+def test_a_returned_grasp_that_holds_makes_an_attempt_count(gripper, pool):
+    planner = WrongOrder(GraspSearch(gripper, QUICK))
+    search = NothingFound(gripper)
+    outcome = run_scene(POSSIBLE, gripper, planner, pool, range(8), 1, search=search)
+    assert outcome.counted is None and len(outcome.first) == 3
+
+
+def test_the_report_tells_counted_attempts_from_all(gripper, pool, monkeypatch):
+    monkeypatch.setattr("megrasp_core.evaluation.report.GraspSearch", NothingFound)
+    content = evaluate(POSSIBLE, gripper, Scripted(AIR), pool, range(8)).to_json()
+    assert content["first"]["trials"] == 0 and content["first_all"]["trials"] == 3
+    assert content["unreachable"] == 1 and content["cleared_of_all"] == 0.0
+
+
+def test_one_model_plans_and_another_executes(gripper, pool):
+    settings = ProtocolSettings(protocol="single", scenes=1, drawn=400, judged=2)
+    other = load_gripper("rethink_gripper")
+    planner = AntipodalPlanner(gripper)
+    result = evaluate(settings, other, planner, pool, range(8), planned_for=gripper.name)
+    content = result.to_json()
+    assert (content["gripper"], content["executed_with"]) == (gripper.name, other.name)
+    assert content["judged"]["trials"] == 2 and "score_auc" in content
 
 
 def test_same_seed_same_run(gripper, pool):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from megrasp_core.evaluation.statistics import cluster_bootstrap, wilson
+from megrasp_core.evaluation.statistics import cluster_bootstrap, roc_auc, wilson
 
 
 def test_wilson_against_a_textbook_value():
@@ -41,3 +41,11 @@ def test_bootstrap_covers_the_truth():
         rate = cluster_bootstrap(rng.binomial(30, luck), [30] * 40, seed=draw, draws=600)
         held += rate.ci95[0] <= 4 / 6 <= rate.ci95[1]
     assert 0.88 <= held / 200 <= 0.99
+
+
+def test_auc_against_a_count_of_pairs():
+    score = np.array([0.9, 0.4, 0.4, 0.1])
+    success = np.array([True, True, False, False])
+    # Of the four pairs of success and failure three are in order and one is a tie.
+    assert roc_auc(score, success) == 0.875
+    assert roc_auc(score, np.ones(4, bool)) is None

@@ -24,6 +24,7 @@ def clutter_rates(
     objects: Path | None,
     out: Path,
     picture: Path | None,
+    planned_for: str,
 ) -> int:
     """Run the rounds, write the result file and, with `picture`, a sheet of the first round."""
     from megrasp_core.evaluation.clutter_removal.object_files import clutter_pool, fitting
@@ -57,6 +58,7 @@ def clutter_rates(
             planner,
             pool,
             objects=place,
+            planned_for=planned_for,
             on_round=tell,
             on_attempt=None if sheet is None else sheet.add,
         )

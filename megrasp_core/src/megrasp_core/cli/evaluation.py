@@ -20,11 +20,14 @@ def evaluation(
     out: Path,
     protocol: Literal["binpick", "declutter", "single", "packed", "pile"] = "binpick",
     gripper_path: Path | None = None,
+    execute_with: str | None = None,
     objects: Path | None = None,
     scenes: int = 50,
     samples: int = 100,
     drawn: int = 100,
     returned: int = 20,
+    judged: int = 0,
+    count_all: Flag = False,
     friction: float = 0.8,
     views: int = 10,
     crop_floor: Literal["known", "estimated"] | None = None,
@@ -55,15 +58,18 @@ def evaluation(
       megrasp eval --gripper franka_hand --protocol declutter --views 1 --out side.json
       megrasp eval --gripper franka_hand --protocol declutter --crop-floor known --out c.json
       megrasp eval --gripper robotiq_2f140 --without openings sweep --out plain.json
+      megrasp eval --gripper robotiq_2f85 --ceiling --samples 0 --out ceiling.json
       megrasp eval --gripper franka_hand --protocol packed --scenes 100 --out packed.json
       megrasp eval --gripper franka_hand --protocol pile --engine mujoco --out pile.json
-      megrasp eval --gripper robotiq_2f85 --ceiling --samples 0 --out ceiling.json
+      megrasp eval --gripper robotiq_3f --execute-with robotiq_3f_cad --judged 20 --out t.json
 
     Args:
         gripper: name, or folder of a gripper.yaml.
         out: result file (JSON).
         protocol: what is run.
         gripper_path: folder with more grippers.
+        execute_with: another model of the gripper, name or folder, that executes what was planned
+            for the first: `<name>_cad` is the maker's CAD, and the nearest thing to another world.
         objects: every folder below it that holds a meta.json, for packed and pile every URDF file
             where there are any; by default procedural objects.
         scenes: bins, heaps or rounds.
@@ -71,6 +77,10 @@ def evaluation(
             first grasps. Not for packed and pile.
         drawn: poses drawn per synthesis.
         returned: grasps returned per synthesis.
+        judged: so many of the returned grasps are judged at every stage, for the AUC of the
+            score.
+        count_all: count every attempt of binpick; by default only those made where a search with
+            true geometry, or one of the returned grasps, can lift something.
         friction: of everything.
         views: cameras around a table; 1: one side view, 52 degrees down.
         crop_floor: cut the table from the cloud, as for planners that want segmented objects, and
@@ -101,10 +111,11 @@ def evaluation(
     rounds: ClutterSettings | None = None
     settings: ProtocolSettings | None = None
     if protocol == "packed" or protocol == "pile":
-        if ceiling or crop_floor or views != 10:
+        if ceiling or crop_floor or views != 10 or judged or count_all:
             raise InvalidRequestError(
-                f"--ceiling, --crop-floor or --views was given with {protocol}; expected none of "
-                "them: its rounds have one side view of the whole table. Leave them out."
+                f"--ceiling, --crop-floor, --views, --judged or --count-all was given with "
+                f"{protocol}; expected none of them: its rounds have one side view of the whole "
+                "table and count what was executed. Leave them out."
             )
         rounds = ClutterSettings(
             scene=protocol, rounds=scenes, engine=engine, drawn=drawn, returned=returned,
@@ -118,12 +129,15 @@ def evaluation(
     else:
         settings = ProtocolSettings(
             protocol=protocol, scenes=scenes, samples=samples, drawn=drawn, returned=returned,
+            judged=judged, possible_only=protocol == "binpick" and not count_all,
             friction=friction, views=views, crop_floor=crop_floor, seed=seed,
         )  # fmt: skip
-    loaded = load_gripper(gripper, () if gripper_path is None else (gripper_path,))
+    paths = () if gripper_path is None else (gripper_path,)
+    loaded = load_gripper(gripper, paths)
+    executing = loaded if execute_with is None else load_gripper(execute_with, paths)
     planner: Planner
     if ceiling:
-        planner = CeilingPlanner(loaded)
+        planner = CeilingPlanner(executing)
     elif baseline:
         planner = AntipodalPlanner(loaded)
     else:
@@ -137,14 +151,14 @@ def evaluation(
             )
         )
     if rounds is not None:
-        return clutter_rates(rounds, loaded, planner, objects, out, picture)
+        return clutter_rates(rounds, executing, planner, objects, out, picture, loaded.name)
     assert settings is not None
     pool = load_pool(objects)
     with progress_bar(len(pool), "graspable objects") as bar:
         usable = graspable_objects(
-            loaded, pool, on_progress=lambda done, _: bar.update(done - bar.n)
+            executing, pool, on_progress=lambda done, _: bar.update(done - bar.n)
         )
-    say(f"{len(usable)} of {len(pool)} objects can be held by {loaded.name}")
+    say(f"{len(usable)} of {len(pool)} objects can be held by {executing.name}")
     place = "procedural" if objects is None else "/".join(objects.resolve().parts[-2:])
     with progress_bar(settings.scenes, protocol) as bar:
 
@@ -163,9 +177,12 @@ def evaluation(
                     + ", ".join(f"{key} {value}" for key, value in rates.items())
                 )
 
-        result = evaluate(settings, loaded, planner, pool, usable, objects=place, on_scene=tell)
+        result = evaluate(
+            settings, executing, planner, pool, usable, objects=place, planned_for=loaded.name,
+            on_scene=tell,
+        )  # fmt: skip
     content = result.to_json()
-    for key in ("first", "filtered", "unfiltered"):
+    for key in ("first", "first_all", "filtered", "unfiltered", "judged"):
         if content.get(key, {}).get("trials"):
             row = content[key]
             low, high = row["ci95"]

@@ -2,7 +2,7 @@
 
 - `protocols`: binpick, declutter and single, scene by scene; `report`: many scenes, result file.
 - `planners`: what is evaluated, the model or the analytic baseline; `ceiling`: a planner that
-  knows the true geometry, the most that a protocol allows.
+  knows the true geometry, the most that a protocol allows; `search`: what it searches with.
 - `statistics`: rates with intervals.
 - `object_pool`: which objects are drawn, and which a gripper can hold at all.
 - `calibration`: scores that are probabilities.

@@ -17,6 +17,7 @@ from megrasp_core.ranking import Calibration, fit_calibration, logistic_features
 from .planners import Planner
 from .protocols import ProtocolSettings, run_scene
 from .report import hardware
+from .statistics import roc_auc
 
 FOLDS = 5
 
@@ -123,15 +124,11 @@ def calibrate(judged: Sequence[JudgedGrasps]) -> tuple[Calibration, dict[str, An
     }
 
 
-def _quality(probability: np.ndarray, success: np.ndarray) -> dict[str, float]:
+def _quality(probability: np.ndarray, success: np.ndarray) -> dict[str, float | None]:
     """Mean log loss (nats) and area under the ROC curve."""
     p = np.clip(probability, 1e-4, 1 - 1e-4)
     loss = -np.where(success, np.log(p), np.log1p(-p)).mean()
-    rank = np.argsort(np.argsort(p)) + 1.0
-    positive = int(success.sum())
-    negative = len(p) - positive
-    area = (rank[success].sum() - positive * (positive + 1) / 2) / max(1, positive * negative)
-    return {"log_loss": round(float(loss), 4), "auc": round(float(area), 4)}
+    return {"log_loss": round(float(loss), 4), "auc": roc_auc(p, success)}
 
 
 def _reliability(probability: np.ndarray, success: np.ndarray) -> list[dict[str, float]]:

@@ -19,12 +19,14 @@ from megrasp_core.simulation import (
     DepthNoise,
     TopDownCamera,
     World,
+    WorldState,
     ring_cameras,
     settle,
 )
 from megrasp_core.synthesizer import RankedGrasp, Synthesis
 
 from .planners import Planner
+from .search import GraspSearch
 
 ProtocolName = Literal["binpick", "declutter", "single"]
 TABLE_REGION = OrientedBox(
@@ -62,7 +64,10 @@ class ProtocolSettings:
         exclude_radius: grasps whose TCP lies so near (m) to one that failed since the last success
             are passed over.
         judged: so many of the returned grasps are judged one by one at every stage, best first,
-            before the first is executed; for calibration.
+            before the first is executed; for calibration and the AUC of the score.
+        possible_only: after a failed attempt in a bin every returned grasp and a search with true
+            geometry are tried in the state before it; where nothing lifts anything, the attempts
+            that count have ended.
         views: cameras around a table heap; one looks from the side, 52 degrees down.
         crop_floor: the table is cut from the cloud, as for planners that want segmented objects;
             the planner is told region and height of the table (`known`) or neither (`estimated`).
@@ -83,6 +88,7 @@ class ProtocolSettings:
     max_failures: int = 3
     exclude_radius: float = 0.05
     judged: int = 0
+    possible_only: bool = False
     views: int = 10
     crop_floor: CroppedFloor | None = None
     noise: DepthNoise | None = field(default_factory=DepthNoise)
@@ -106,6 +112,11 @@ class ProtocolSettings:
                 f"{self.protocol}; expected at least one view. A bin is seen by one camera from "
                 "above; choose declutter or single."
             )
+        if self.possible_only and self.protocol != "binpick":
+            raise InvalidRequestError(
+                f"possible_only was given with {self.protocol}; expected binpick, where attempts "
+                "follow on each other."
+            )
 
 
 @dataclass
@@ -114,6 +125,10 @@ class SceneOutcome:
 
     Attributes:
         first: every executed attempt in order: success and the verdict's reason.
+        counted: so many of them, from the first, count: the next one was made where nothing could
+            be lifted. None: all.
+        unreachable: objects left at the end of the counted attempts that nothing can lift; None:
+            not looked for.
         stages: times that the scene was looked at.
         answered: of them with a grasp to execute.
         objects: that may be lifted, at the start.
@@ -128,6 +143,10 @@ class SceneOutcome:
     answered: int = 0
     objects: int = 0
     removed: int = 0
+    removed_counted: int = 0
+    """By the attempts that count."""
+    counted: int | None = None
+    unreachable: int | None = None
     ranked: list[tuple[RankedGrasp, bool, str]] = field(default_factory=list)
     """Returned grasps that were judged, with success and reason."""
     seconds: list[float] = field(default_factory=list)
@@ -143,6 +162,7 @@ def run_scene(
     graspable: Sequence[int],
     index: int,
     on_stage: Callable[[Synthesis, Cloud, SceneOutcome], None] | None = None,
+    search: GraspSearch | None = None,
 ) -> SceneOutcome:
     """Run one scene of a protocol; on one machine the same settings and index give the same
     scene.
@@ -155,11 +175,16 @@ def run_scene(
         graspable: indices of those that the gripper can hold.
         index: number of the scene.
         on_stage: called after every synthesis, for pictures.
+        search: of `possible_only`; by default one with usual effort.
     """
+    if settings.possible_only and search is None:
+        search = GraspSearch(gripper)
     world, obstacles, models = _scene(settings, gripper, pool, graspable, index)
     cycle = PickCycle(world, obstacles)
     outcome = SceneOutcome(objects=len(cycle.left))
     rng = np.random.default_rng([settings.seed, index, 3])
+    # Its own, so that the search changes nothing of what the camera sees and the planner draws.
+    search_rng = np.random.default_rng([settings.seed, index, 4])
     binpick = settings.protocol == "binpick"
     while cycle.left:
         if binpick and (
@@ -185,7 +210,8 @@ def run_scene(
         outcome.stages += 1
         if settings.samples and (not binpick or outcome.stages == 1):
             _judge_samples(settings, cycle, planner, cloud, options, outcome)
-        planner.look_inside(world, {place: models[place] for place in cycle.left})
+        goals = {place: models[place] for place in cycle.left}
+        planner.look_inside(world, goals)
         result = planner.plan(
             cloud,
             num_grasps=settings.returned,
@@ -203,12 +229,18 @@ def run_scene(
             verdict = cycle.verdict(grasp, approach=binpick)
             outcome.ranked.append((grasp, bool(verdict.success), verdict.reason.value))
         if binpick:
+            before = world.save()
             _pick(cycle, result, outcome)
+            if search is not None and outcome.counted is None:
+                _count(cycle, result, outcome, search, before, goals, search_rng)
             continue
         _try_first(cycle, result, outcome)
         if settings.protocol == "single":
             break
         cycle.clear([int(rng.choice(cycle.left))])
+    if search is not None and outcome.counted is None:
+        left = {place: models[place] for place in cycle.left}
+        outcome.unreachable = len(left) - len(search.reachable(world, left, search_rng))
     return outcome
 
 
@@ -228,6 +260,29 @@ def _pick(cycle: PickCycle, result: Synthesis, outcome: SceneOutcome) -> None:
     outcome.first.append((bool(verdict.success), verdict.reason.value))
     if verdict.success:
         outcome.removed += len(goals & set(verdict.lifted))
+
+
+def _count(
+    cycle: PickCycle,
+    result: Synthesis,
+    outcome: SceneOutcome,
+    search: GraspSearch,
+    before: WorldState,
+    goals: dict[int, ObjectModel],
+    rng: np.random.Generator,
+) -> None:
+    """Take in whether the last attempt counts: whether anything could have been lifted."""
+    if outcome.first[-1][0]:
+        outcome.removed_counted = outcome.removed
+        return
+    after = cycle.world.save()
+    cycle.world.restore(before)
+    possible = any(cycle.verdict(grasp).success for grasp in result.grasps[1:])
+    possible = possible or search.find(cycle.world, goals, rng) is not None
+    cycle.world.restore(after)
+    if not possible:
+        outcome.counted = len(outcome.first) - 1
+        outcome.unreachable = len(goals)
 
 
 def _try_first(cycle: PickCycle, result: Synthesis, outcome: SceneOutcome) -> None:

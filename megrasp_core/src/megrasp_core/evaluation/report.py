@@ -19,7 +19,8 @@ from megrasp_core.objects import ObjectModel
 
 from .planners import Planner
 from .protocols import ProtocolSettings, SceneOutcome, run_scene
-from .statistics import cluster_bootstrap, wilson
+from .search import GraspSearch
+from .statistics import cluster_bootstrap, roc_auc, wilson
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,7 @@ class EvaluationResult:
 
     settings: ProtocolSettings
     gripper: str
+    executed_with: str
     model: str
     pool: int
     graspable: int
@@ -39,28 +41,28 @@ class EvaluationResult:
         scenes, settings = self.scenes, self.settings
         sampled = [s.sampled for s in scenes]
         passed = [[x for x in part if x[1]] for part in sampled]
-        first = [ok for s in scenes for ok, _ in s.first]
+        attempts = [ok for s in scenes for ok, _ in s.first]
+        counted = [x for s in scenes for x in s.first[: s.counted]]
         total = sum(len(part) for part in sampled)
         stages = sum(s.stages for s in scenes)
-        objects = sum(s.objects for s in scenes)
-        removed = sum(s.removed for s in scenes)
         seconds = np.array([t for s in scenes for t in s.seconds] or [0.0])
         content: dict[str, Any] = {
             "protocol": settings.protocol,
             "gripper": self.gripper,
+            "executed_with": self.executed_with,
             "model": self.model,
             "seed": settings.seed,
             "scenes": len(scenes),
             "drawn": settings.drawn,
             "returned": settings.returned,
             "evaluations": max((s.evaluations for s in scenes), default=0),
-            "first": wilson(sum(first), len(first)).to_json(),
+            "first": wilson(sum(ok for ok, _ in counted), len(counted)).to_json(),
             "answered_share": round(sum(s.answered for s in scenes) / max(1, stages), 4),
             "seconds": {
                 "median": round(float(np.median(seconds)), 4),
                 "p95": round(float(np.quantile(seconds, 0.95)), 4),
             },
-            "reasons": dict(Counter(reason for s in scenes for _, reason in s.first)),
+            "reasons": dict(Counter(reason for _, reason in counted)),
         }
         if total:
             won = [sum(x[0] for x in part) for part in sampled]
@@ -71,8 +73,14 @@ class EvaluationResult:
             content["sample_reasons"] = dict(Counter(x[2] for part in sampled for x in part))
             content["filtered_reasons"] = dict(Counter(x[2] for part in passed for x in part))
         if settings.protocol == "binpick":
-            content["cleared"] = round(removed / max(1, objects), 4)
-            content["picks_per_object"] = round(len(first) / max(1, removed), 3)
+            content["first_all"] = wilson(sum(attempts), len(attempts)).to_json()
+            content |= _cleared(scenes, settings.possible_only)
+        ranked = [x for s in scenes for x in s.ranked]
+        if ranked:
+            scores = np.array([grasp.score for grasp, _, _ in ranked])
+            held = np.array([success for _, success, _ in ranked])
+            content["judged"] = wilson(int(held.sum()), len(held)).to_json()
+            content["score_auc"] = roc_auc(scores, held)
         content["hardware"] = hardware()
         content["config"] = {
             **dataclasses.asdict(settings),
@@ -89,6 +97,28 @@ class EvaluationResult:
         path.write_text(json.dumps(self.to_json(), indent=1) + "\n")
 
 
+def _cleared(scenes: Sequence[SceneOutcome], possible_only: bool) -> dict[str, Any]:
+    """How far bins were cleared: of what can be lifted, and of all."""
+    objects = sum(s.objects for s in scenes)
+    removed = sum(s.removed for s in scenes)
+    of_all = round(removed / max(1, objects), 4)
+    if not possible_only:
+        attempts = sum(len(s.first) for s in scenes)
+        return {
+            "cleared_of_all": of_all,
+            "picks_per_object": round(attempts / max(1, removed), 3),
+        }
+    unreachable = sum(s.unreachable or 0 for s in scenes)
+    counted = sum(s.removed if s.counted is None else s.removed_counted for s in scenes)
+    attempts = sum(len(s.first[: s.counted]) for s in scenes)
+    return {
+        "cleared": round(counted / max(1, objects - unreachable), 4),
+        "cleared_of_all": of_all,
+        "unreachable": unreachable,
+        "picks_per_object": round(attempts / max(1, counted), 3),
+    }
+
+
 def evaluate(
     settings: ProtocolSettings,
     gripper: Gripper,
@@ -97,6 +127,7 @@ def evaluate(
     graspable: Sequence[int],
     *,
     objects: str = "procedural",
+    planned_for: str | None = None,
     on_scene: Callable[[int, EvaluationResult], None] | None = None,
 ) -> EvaluationResult:
     """Run all scenes of a protocol.
@@ -104,17 +135,20 @@ def evaluate(
     Args:
         settings: the run.
         gripper: in the simulation.
-        planner: answers with grasps for that gripper.
+        planner: answers with grasps for that gripper, or for another description of it.
         pool: objects to draw from.
         graspable: indices of those that the gripper can hold.
         objects: where they come from, for the result file.
+        planned_for: name of the gripper that the planner plans for, where it is another.
         on_scene: called with the number of scenes done and the result so far.
     """
     outcomes: list[SceneOutcome] = []
+    search = GraspSearch(gripper) if settings.possible_only else None
 
     def result() -> EvaluationResult:
         return EvaluationResult(
             settings,
+            planned_for or gripper.name,
             gripper.name,
             planner.name,
             len(pool),
@@ -124,7 +158,9 @@ def evaluate(
         )
 
     for index in range(settings.scenes):
-        outcomes.append(run_scene(settings, gripper, planner, pool, graspable, index))
+        outcomes.append(
+            run_scene(settings, gripper, planner, pool, graspable, index, search=search)
+        )
         if on_scene is not None:
             on_scene(index + 1, result())
     return result()

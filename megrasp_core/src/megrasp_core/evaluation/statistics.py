@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
+from numpy.typing import NDArray
+from scipy.stats import norm, rankdata
 
 
 @dataclass(frozen=True)
@@ -78,3 +79,21 @@ def cluster_bootstrap(
     rates = won[index].sum(1)[totals > 0] / totals[totals > 0]
     low, high = np.quantile(rates, [0.5 - level / 2, 0.5 + level / 2])
     return Rate(int(won.sum()), int(tried.sum()), (float(low), float(high)))
+
+
+def roc_auc(score: NDArray[np.float64], success: NDArray[np.bool_]) -> float | None:
+    """Area under the ROC curve: how often a success has the higher score than a failure.
+
+    Args:
+        score: (N,).
+        success: (N,).
+
+    Returns:
+        0..1, ties count half; None without successes or without failures.
+    """
+    won = int(success.sum())
+    lost = len(success) - won
+    if not won or not lost:
+        return None
+    ranks = rankdata(score)[success].sum()
+    return round(float((ranks - won * (won + 1) / 2) / (won * lost)), 4)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
+import os
+import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -42,6 +45,24 @@ APPROACH_TIME, CLOSE_TIME, LIFT_TIME, HOLD_TIME = 0.5, 0.6, 0.7, 0.5
 """s."""
 
 
+def _client() -> Any:
+    """A client of PyBullet, without what that writes to standard output."""
+    sys.stdout.flush()
+    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    try:
+        import pybullet
+        from pybullet_utils.bullet_client import BulletClient
+
+        return BulletClient(pybullet.DIRECT)
+    finally:
+        # It is written by C, which keeps it back.
+        ctypes.CDLL(None).fflush(None)
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)
+
+
 class BulletWorld(ClutterWorld):
     """Objects, table and a hand with sliding fingers in a PyBullet client of their own.
 
@@ -65,17 +86,15 @@ class BulletWorld(ClutterWorld):
         """
         super().__init__(objects)
         try:
-            import pybullet
-            from pybullet_utils.bullet_client import BulletClient
+            engine: Any = _client()
         except ImportError:
             raise MissingPackageError(
                 "pybullet",
                 "bench",
-                "packed and pile, of which --engine mujoco does without (Python 3.12: `pip install "
-                "pybullet` compiles it)",
+                "packed and pile (--engine mujoco does without; for Python 3.12 "
+                "`pip install pybullet` compiles it)",
             ) from None
-        self._engine: Any = BulletClient(pybullet.DIRECT)
-        engine = self._engine
+        self._engine = engine
         engine.setGravity(0.0, 0.0, -9.81)
         engine.setPhysicsEngineParameter(
             fixedTimeStep=TIMESTEP,

@@ -29,6 +29,7 @@ class ClutterResult:
 
     settings: ClutterSettings
     gripper: str
+    executed_with: str
     model: str
     pool: int
     objects: str
@@ -62,6 +63,7 @@ class ClutterResult:
             "protocol": settings.scene,
             "engine": settings.engine,
             "gripper": self.gripper,
+            "executed_with": self.executed_with,
             "model": self.model,
             "seed": settings.seed,
             "rounds": len(self.rounds),
@@ -113,6 +115,7 @@ def evaluate_clutter(
     pool: Sequence[ObjectModel],
     *,
     objects: str = "procedural",
+    planned_for: str | None = None,
     on_round: Callable[[int, ClutterResult], None] | None = None,
     on_attempt: OnAttempt | None = None,
 ) -> ClutterResult:
@@ -124,6 +127,7 @@ def evaluate_clutter(
         planner: answers with grasps for that gripper.
         pool: objects to draw from.
         objects: where they come from, for the result file.
+        planned_for: name of the gripper that the planner plans for, where it is another.
         on_round: called with the number of rounds done and the result so far.
         on_attempt: called after every attempt of the first round, for pictures.
     """
@@ -131,7 +135,13 @@ def evaluate_clutter(
 
     def result() -> ClutterResult:
         return ClutterResult(
-            settings, gripper.name, planner.name, len(pool), objects, tuple(rounds)
+            settings,
+            planned_for or gripper.name,
+            gripper.name,
+            planner.name,
+            len(pool),
+            objects,
+            tuple(rounds),
         )
 
     for index in range(settings.rounds):
