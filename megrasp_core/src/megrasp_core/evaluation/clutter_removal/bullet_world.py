@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -46,10 +45,11 @@ APPROACH_TIME, CLOSE_TIME, LIFT_TIME, HOLD_TIME = 0.5, 0.6, 0.7, 0.5
 
 
 def _client() -> Any:
-    """A client of PyBullet, without what that writes to standard output."""
-    sys.stdout.flush()
-    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)
+    """A client of PyBullet, without what that writes to standard output and standard error."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    kept = [os.dup(stream) for stream in (1, 2)]
+    for stream in (1, 2):
+        os.dup2(nowhere, stream)
     try:
         import pybullet
         from pybullet_utils.bullet_client import BulletClient
@@ -58,8 +58,9 @@ def _client() -> Any:
     finally:
         # It is written by C, which keeps it back.
         ctypes.CDLL(None).fflush(None)
-        os.dup2(kept, 1)
-        os.close(kept)
+        for stream, before in zip((1, 2), kept):
+            os.dup2(before, stream)
+            os.close(before)
         os.close(nowhere)
 
 
