@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from megrasp_core.cli.clutter_page import MARK
 from megrasp_core.errors import InvalidRequestError, MissingPackageError, ObjectError
 from megrasp_core.evaluation.clutter_removal.bullet_hand import sliding_fingers
 from megrasp_core.evaluation.clutter_removal.bullet_shapes import shrunk
@@ -18,6 +20,7 @@ from megrasp_core.evaluation.clutter_removal.protocol import ClutterSettings, pl
 from megrasp_core.evaluation.clutter_removal.report import ClutterResult
 from megrasp_core.evaluation.clutter_removal.scenes import make_scene, packed_poses, stands
 from megrasp_core.evaluation.clutter_removal.side_view import dexnet_noise, look, side_camera
+from megrasp_core.evaluation.clutter_removal.table import clutter_tables
 from megrasp_core.evaluation.clutter_removal.world import (
     EDGE,
     WORKSPACE,
@@ -389,6 +392,18 @@ def test_rates_and_causes_of_the_result_file(box):
     }  # fmt: skip
     assert content["endings"] == {"cleared": 1, "failures": 1}
     assert [len(one) for one in content["attempts"]] == [3, 3]
+
+
+def test_the_page_has_the_tables_of_the_result_files():
+    root = Path(__file__).parents[3] / "docs"
+    files = sorted((root / "results").glob("clutter_*.json"))
+    results = [json.loads(file.read_text()) for file in files]
+    assert {content["protocol"] for content in results} == {"packed", "pile"}
+    page = (root / "evaluation.md").read_text()
+    assert f"<!-- {MARK} -->\n{clutter_tables(results)}<!-- /{MARK} -->" in page, (
+        "run python -m megrasp_core.cli.clutter_page docs/evaluation.md "
+        "docs/results/clutter_*.json"
+    )
 
 
 def test_unknown_settings_are_named():
