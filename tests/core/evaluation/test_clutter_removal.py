@@ -30,7 +30,7 @@ from megrasp_core.evaluation.clutter_removal.world import (
 )
 from megrasp_core.evaluation.planners import AntipodalPlanner, Planner
 from megrasp_core.grippers import load_gripper
-from megrasp_core.objects import procedural_object
+from megrasp_core.objects import ConvexPiece, procedural_object
 from megrasp_core.synthesizer import RankedGrasp, Synthesis
 
 
@@ -134,7 +134,7 @@ def test_what_has_no_foot_does_not_stand(box):
     assert stands(box)
     tip = procedural_object(2, "box")
     half = np.array([[np.cos(0.6), 0, np.sin(0.6)], [0, 1, 0], [-np.sin(0.6), 0, np.cos(0.6)]])
-    pieces = tuple((points @ half.T, faces) for points, faces in tip.pieces)
+    pieces = tuple(ConvexPiece(points @ half.T, faces) for points, faces in tip.pieces)
     tilted = type(tip)("tilted", tip.vertices @ half.T, tip.faces, pieces, tip.mass, tip.inertia)
     assert not stands(tilted)
 
@@ -278,8 +278,8 @@ def test_attempts_end_for_the_right_reason(engine, gripper, box):
     met = world.attempt(*from_above(box, aside=0.03))
     assert met.outcome is Outcome.COLLISION and met.depth > 0.001 and not met.held
     pose, back = from_above(box)
-    above = [p + np.outer([0, 0, 1, 0], [0, 0, 0, 0.05]) for p in (pose, back)]
-    assert world.attempt(*above).outcome is Outcome.NO_CONTACT
+    up = np.outer([0, 0, 1, 0], [0, 0, 0, 0.05])
+    assert world.attempt(pose + up, back + up).outcome is Outcome.NO_CONTACT
     held = world.attempt(pose, back)
     assert held.success and held.held == (0,)
     world.close()
