@@ -31,8 +31,10 @@ fi
 status=0
 echo "[test] ruff"
 ruff check . || status=1
-echo "[test] pyright"
-pyright --pythonpath "$(command -v python)" || status=1
+# Takes one core for a minute, in which the tests begin.
+pyright_log="$(mktemp)"
+pyright --pythonpath "$(command -v python)" > "$pyright_log" 2>&1 &
+pyright=$!
 
 echo "[test] pytest"
 # dash comes with open3d and brings a pytest plugin that nobody needs here
@@ -49,15 +51,24 @@ run_tests() {  # NAME [pytest arguments]
   python -m pytest "${options[@]}" "${junit[@]}" "${@:2}" || status=1
 }
 
+tell_pyright() {
+  echo "[test] pyright"
+  wait "$pyright" || status=1
+  cat "$pyright_log"
+  rm -f "$pyright_log"
+}
+
 chosen=false
 for argument in "$@"; do
   if [ -e "${argument%%::*}" ]; then chosen=true; fi
 done
 if $chosen; then
+  tell_pyright
   run_tests "" "$@"
 else
   # Apart from each other: threads that spin nodes do not get along with tests that send signals.
   run_tests "" tests/core tests/golden "$@"
+  tell_pyright
   run_tests _ros tests/ros "$@"
 fi
 

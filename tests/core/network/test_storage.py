@@ -87,6 +87,7 @@ def test_the_facts_survive_a_round_trip(folder):
         sampler=SamplerSettings(steps=3),
         scene=SceneSettings(voxel=0.005),
         calibration=Calibration(bias=0.5),
+        calibration_by_kind={"hand": Calibration(tilt=-1.0)},
         trained_grippers={"robotiq_2f85": "abc"},
         counters={"poses": 7},
         training={"seed": 1},
@@ -95,6 +96,19 @@ def test_the_facts_survive_a_round_trip(folder):
     read = load_model(save_model(model, folder)).info
     assert read == dataclasses.replace(facts, sha256=read.sha256)
     assert read.parameters == sum(weight.numel() for weight in model.parameters())
+
+
+def test_grippers_of_the_training_have_the_calibration_of_their_kind(folder):
+    pooled, hands = Calibration(bias=0.5), Calibration(tilt=-1.0)
+    info = dataclasses.replace(
+        load_model(folder).info,
+        calibration=pooled,
+        calibration_by_kind={"hand": hands},
+        trained_grippers={"shadow_hand": "abc", "robotiq_2f85": "def"},
+    )
+    assert info.calibration_for("shadow_hand", "hand") == hands
+    assert info.calibration_for("robotiq_2f85", "adaptive") == pooled
+    assert info.calibration_for("hand_of_a_stranger", "hand") == pooled
 
 
 @pytest.mark.parametrize(
@@ -109,6 +123,16 @@ def test_the_facts_survive_a_round_trip(folder):
         ("scene", {"voxels": 0.004}, r"'scene' has unknown entries \['voxels'\].*'voxel'"),
         ("scene", 4, "'scene' is 4; expected a mapping"),
         ("calibration", {"bias": "much"}, "bias = 'much'; expected a number"),
+        (
+            "calibration_by_kind",
+            {"claw": {}},
+            r"'claw'.*some of \['parallel', 'adaptive', 'hand'\]",
+        ),
+        (
+            "calibration_by_kind",
+            {"hand": {"slope": 1}},
+            r"of hand' has unknown entries \['slope'\]",
+        ),
     ],
 )
 def test_config_with_a_wrong_entry(folder, entry, value, told):

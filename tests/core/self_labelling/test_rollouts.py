@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from megrasp_core.evaluation.calibration import calibrate, judged_grasps
+from megrasp_core.evaluation.calibration import calibrate, calibrate_kinds, judged_grasps
 from megrasp_core.evaluation.planners import AntipodalPlanner
 from megrasp_core.evaluation.protocols import ProtocolSettings
 from megrasp_core.grippers import load_gripper
@@ -78,6 +78,9 @@ def test_the_heads_train_on_stages_without_a_success(folder):
     assert not batch.positives and len(batch.labelled["robotiq_2f85"]) == len(table)
 
 
+ARRAYS = ("scene", "features", "confidence", "success")
+
+
 @pytest.mark.slow
 def test_calibration_from_judged_grasps():
     gripper = load_gripper("robotiq_2f85")
@@ -103,3 +106,8 @@ def test_calibration_from_judged_grasps():
     assert report["held_out"]["log_loss"] < report["confidence"]["log_loss"]
     assert report["grippers"]["robotiq_2f85"]["judged"] == len(success)
     assert sum(row["count"] for row in report["reliability"]) == len(success)
+    few = dataclasses.replace(
+        told, kind="hand", **{name: getattr(told, name)[:20] for name in ARRAYS}
+    )
+    fitted, reports = calibrate_kinds([told, few])
+    assert fitted == {told.kind: calibration} and reports[told.kind] == report

@@ -20,6 +20,8 @@ from .report import hardware
 from .statistics import roc_auc
 
 FOLDS = 5
+LEAST_OF_A_KIND = 150
+"""Fewer judged grasps of a kind of gripper are too few for a fit of their own."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,8 @@ class JudgedGrasps:
 
     Attributes:
         gripper: name.
-        scene: (n,) number of the bin.
+        kind: of gripper.
+        scene: (n,) number of the bin or heap.
         features: (n, 4), see `logistic_features`.
         confidence: (n,) of the model.
         success: (n,) bool.
@@ -36,6 +39,7 @@ class JudgedGrasps:
     """
 
     gripper: str
+    kind: str
     scene: np.ndarray
     features: np.ndarray
     confidence: np.ndarray
@@ -62,7 +66,7 @@ def judged_grasps(
     *,
     on_scene: Callable[[int, int, int], None] | None = None,
 ) -> JudgedGrasps:
-    """Run binpick and judge `settings.judged` grasps of every stage.
+    """Run a protocol and judge `settings.judged` grasps of every stage.
 
     Args:
         settings: of the protocol.
@@ -84,6 +88,7 @@ def judged_grasps(
     confidence = np.array([grasp.confidence for _, grasp, _ in rows])
     return JudgedGrasps(
         gripper.name,
+        gripper.description.kind,
         np.array([scene for scene, _, _ in rows], dtype=np.int64),
         logistic_features(
             confidence,
@@ -122,6 +127,25 @@ def calibrate(judged: Sequence[JudgedGrasps]) -> tuple[Calibration, dict[str, An
         "reliability": _reliability(held_out, success),
         "hardware": hardware(),
     }
+
+
+def calibrate_kinds(
+    judged: Sequence[JudgedGrasps],
+) -> tuple[dict[str, Calibration], dict[str, Any]]:
+    """Fit every kind of gripper by itself, where it has grasps enough.
+
+    Returns:
+        Kind -> fit, and kind -> report as of `calibrate`.
+    """
+    fitted: dict[str, Calibration] = {}
+    reports: dict[str, Any] = {}
+    for kind in sorted({part.kind for part in judged}):
+        parts = [part for part in judged if part.kind == kind]
+        successes = sum(int(part.success.sum()) for part in parts)
+        grasps = sum(len(part.success) for part in parts)
+        if grasps >= LEAST_OF_A_KIND and 0 < successes < grasps:
+            fitted[kind], reports[kind] = calibrate(parts)
+    return fitted, reports
 
 
 def _quality(probability: np.ndarray, success: np.ndarray) -> dict[str, float | None]:

@@ -11,6 +11,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 from megrasp_core.diffusion import SamplerSettings
 from megrasp_core.errors import MegraspError, ModelError
+from megrasp_core.grippers import KINDS
 from megrasp_core.pointcloud import SceneSettings
 from megrasp_core.ranking import Calibration
 
@@ -33,6 +34,8 @@ class ModelInfo:
         sampler: what the model is meant to be sampled with.
         scene: preprocessing that it was trained with.
         calibration: of its confidence, or None.
+        calibration_by_kind: kind of gripper -> the same, for grippers that it was trained with;
+            kinds that are missing, and other grippers, take `calibration`.
         low_precision: whether its token part may run in bfloat16.
         trained_grippers: name -> hash of the description, of every gripper of the training.
         procedural_grippers: number of those among the training's scenes.
@@ -50,6 +53,7 @@ class ModelInfo:
     sampler: SamplerSettings = dataclasses.field(default_factory=SamplerSettings)
     scene: SceneSettings = dataclasses.field(default_factory=SceneSettings)
     calibration: Calibration | None = None
+    calibration_by_kind: Mapping[str, Calibration] = dataclasses.field(default_factory=dict)
     low_precision: bool = False
     trained_grippers: Mapping[str, str] = dataclasses.field(default_factory=dict)
     procedural_grippers: int = 0
@@ -76,6 +80,7 @@ class ModelInfo:
                 given[name] = _settings(kind, given[name], name)
         if given.get("calibration") is not None:
             given["calibration"] = _settings(Calibration, given["calibration"], "calibration")
+        given["calibration_by_kind"] = _calibrations(given.get("calibration_by_kind", {}))
         if isinstance(given.get("heads"), list):
             given["heads"] = tuple(given["heads"])
         info = _settings(cls, given, "")
@@ -92,7 +97,28 @@ class ModelInfo:
         plain["sampler"] = dataclasses.asdict(self.sampler)
         plain["scene"] = dataclasses.asdict(self.scene)
         plain["calibration"] = None if self.calibration is None else self.calibration.to_dict()
+        plain["calibration_by_kind"] = {
+            kind: fitted.to_dict() for kind, fitted in self.calibration_by_kind.items()
+        }
         return {name: value for name, value in plain.items() if value not in (None, {}, "")}
+
+    def calibration_for(self, gripper: str, kind: str) -> Calibration | None:
+        """The calibration for a gripper by name and kind."""
+        if gripper not in self.trained_grippers:
+            return self.calibration
+        return self.calibration_by_kind.get(kind, self.calibration)
+
+
+def _calibrations(values: Any) -> dict[str, Calibration]:
+    if not isinstance(values, Mapping) or set(values) - set(KINDS):
+        raise ModelError(
+            f"the model's 'calibration_by_kind' is {values!r}; expected a mapping from some of "
+            f"{list(KINDS)}."
+        )
+    return {
+        kind: _settings(Calibration, fitted, f"calibration_by_kind of {kind}")
+        for kind, fitted in values.items()
+    }
 
 
 def _settings(kind: type[T], values: Any, where: str) -> T:

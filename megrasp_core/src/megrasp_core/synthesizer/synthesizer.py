@@ -67,7 +67,7 @@ class GraspSynthesizer:
                 f"threads {threads} was given; expected at least 1, or none."
             )
         self.model = model
-        self.settings = _calibrated(settings or SynthesizerSettings(), model)
+        self.settings = settings or SynthesizerSettings()
         self.sampler = self.settings.sampler or model.info.sampler
         self.threads = threads
         self.schedule = NoiseSchedule.of(model.config)
@@ -177,7 +177,7 @@ class GraspSynthesizer:
                 schedule=self.schedule,
                 sampler=self.sampler,
                 scene_settings=self.scene_settings,
-                settings=self.settings,
+                settings=_calibrated(self.settings, self.model, self._mounted.gripper),
                 on_step=on_step,
                 on_poses=on_poses,
                 cancelled=cancelled,
@@ -211,9 +211,14 @@ def _far_origin(cloud: Cloud) -> np.ndarray:
     return np.round(middle) if np.linalg.norm(middle) > FAR else np.zeros(3)
 
 
-def _calibrated(settings: SynthesizerSettings, model: GraspModel) -> SynthesizerSettings:
-    """The settings with the calibration that `config.json` states, unless they bring their own."""
-    stated, ranking = model.info.calibration, settings.ranking
+def _calibrated(
+    settings: SynthesizerSettings, model: GraspModel, gripper: Gripper
+) -> SynthesizerSettings:
+    """The settings with the calibration that `config.json` states for the gripper, unless they
+    bring their own.
+    """
+    stated = model.info.calibration_for(gripper.name, gripper.description.kind)
+    ranking = settings.ranking
     if stated is None or ranking.rank.calibration is not None:
         return settings
     rank = replace(ranking.rank, calibration=stated)
