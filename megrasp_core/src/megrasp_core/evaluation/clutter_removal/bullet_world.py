@@ -243,11 +243,13 @@ class BulletWorld(ClutterWorld):
         return deepest
 
     def touched(self) -> set[int]:
-        """Objects that touched the hand in the last step."""
+        """Objects that pressed on the hand in the last step."""
         return {
             index
             for index in self.present
-            if self._engine.getContactPoints(self.hand.body, self._bodies[index])
+            for point in self._engine.getContactPoints(self.hand.body, self._bodies[index])
+            # Points a little apart are among them; those that touch have a normal force.
+            if point[9] > 0.0
         }
 
     def attempt(

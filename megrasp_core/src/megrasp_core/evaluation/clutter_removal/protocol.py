@@ -132,7 +132,7 @@ def run_round(
 
     Raises:
         MissingPackageError: the engine is not installed.
-        InvalidRequestError: the engine cannot close this gripper.
+        InvalidRequestError: the engine cannot close this gripper; too few objects.
         SimulationError: no scene comes to rest.
     """
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
-from megrasp_core.errors import SimulationError
+from megrasp_core.errors import InvalidRequestError, SimulationError
 from megrasp_core.objects import ObjectModel
 
 from .world import EDGE, FENCE, ClutterWorld, come_to_rest, take_out_lost
@@ -51,12 +51,13 @@ def make_scene(
         seed: of everything drawn.
 
     Raises:
+        InvalidRequestError: there are too few objects.
         SimulationError: no draw of 30 succeeds.
     """
     usable = [model for model in pool if name == "pile" or stands(model)]
     if len(usable) < count:
         what = "that stand upright " if name == "packed" else ""
-        raise SimulationError(
+        raise InvalidRequestError(
             f"{len(usable)} objects {what}were given; expected at least {count}. Give another "
             "--objects folder."
         )
