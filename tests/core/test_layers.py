@@ -23,9 +23,18 @@ LAYERS = (
     {"grippers", "objects", "pointcloud"},
     {"ranking", "diffusion", "network", "storage", "simulation"},
     {"cell", "drawing", "synthesizer", "scenes", "library"},
-    {"evaluation", "training", "self_labelling", "gripper_tools", "benchmarks", "service"},
+    {
+        "evaluation",
+        "training",
+        "self_labelling",
+        "gripper_tools",
+        "benchmarks",
+        "service",
+        "explanation",
+    },
     {"viewer"},
     {"cli"},
+    {"__main__"},
 )
 ROOMS = {
     "benchmarks", "cell", "cli", "drawing", "evaluation", "gripper_tools", "self_labelling",

@@ -1,12 +1,14 @@
-"""docs/cli.md names every command."""
+"""docs/cli.md names every command, docs/results.md every result file."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+from megrasp_core.cli import results_page
 from megrasp_core.cli.page import MARK, table
 
 PAGE = Path(__file__).parents[3] / "docs" / "cli.md"
+RESULTS = PAGE.with_name("results.md")
 
 
 def test_the_page_has_the_table_that_the_command_writes() -> None:
@@ -20,3 +22,23 @@ def test_every_command_says_what_it_does() -> None:
     rows = table().splitlines()[2:]
     assert len(rows) > 20
     assert all(row.split("|")[2].strip() for row in rows)
+
+
+def test_the_rates_are_those_of_the_result_files() -> None:
+    made = results_page.tables(RESULTS)
+    mark = results_page.MARK
+    assert f"<!-- {mark} -->\n{made}<!-- /{mark} -->" in RESULTS.read_text(), (
+        "run python -m megrasp_core.cli.results_page docs/results.md"
+    )
+    assert "[robotiq_2f85](../models/megrasp-small/evaluation/binpick_robotiq_2f85.json)" in made
+    assert "357/561 = 63.6 % [59.6, 67.5]" in made
+
+
+def test_the_readme_states_the_rates_of_its_result_files() -> None:
+    """Its table is a choice of rows, with other words around the same numbers."""
+    readme = (PAGE.parents[1] / "README.md").read_text().replace("*", "")
+    shown = [line for line in results_page.tables(RESULTS).splitlines() if "binpick_" in line]
+    assert shown
+    for line in shown:
+        for cell in line.split(" | ")[4:9]:
+            assert cell == "-" or cell in readme, f"{cell} of {line}"

@@ -7,18 +7,21 @@ import json
 
 import numpy as np
 import pytest
+import torch
 
-from megrasp_core.errors import InvalidRequestError
+from megrasp_core.errors import InvalidRequestError, SimulationError
 from megrasp_core.evaluation.ceiling import CeilingPlanner
 from megrasp_core.evaluation.object_pool import graspable_objects, load_pool
-from megrasp_core.evaluation.planners import AntipodalPlanner, Planner
+from megrasp_core.evaluation.planners import AntipodalPlanner, ModelPlanner, Planner
 from megrasp_core.evaluation.protocols import ProtocolSettings, run_scene
-from megrasp_core.evaluation.report import evaluate
+from megrasp_core.evaluation.report import EvaluationResult, evaluate
 from megrasp_core.evaluation.search import GraspSearch, SearchSettings
 from megrasp_core.grippers import load_gripper
+from megrasp_core.jobs import ExecutorConfig
+from megrasp_core.network import PRESETS, GraspModel
 from megrasp_core.objects import procedural_object
 from megrasp_core.pointcloud import Cloud
-from megrasp_core.synthesizer import RankedGrasp, Synthesis
+from megrasp_core.synthesizer import GraspSynthesizer, RankedGrasp, Synthesis
 
 
 @pytest.fixture(scope="module")
@@ -190,6 +193,55 @@ def test_same_seed_same_run(gripper, pool):
         for _ in range(2)
     ]
     assert runs[0] == runs[1]
+
+
+def without_time(result: EvaluationResult) -> dict:
+    content = result.to_json()
+    for name in ("executor", "workers"):
+        del content["config"][name]
+    return {name: value for name, value in content.items() if name not in ("seconds", "hardware")}
+
+
+FEW = ProtocolSettings(protocol="single", scenes=2, samples=2, drawn=4, returned=2)
+
+
+@pytest.fixture(scope="module")
+def model_planner(gripper) -> ModelPlanner:
+    """A network of chance, which is enough to be sent to other processes."""
+    torch.manual_seed(1)
+    model = GraspModel(PRESETS["tiny"]).eval()
+    return ModelPlanner(GraspSynthesizer(model, gripper, threads=1))
+
+
+@pytest.fixture(scope="module")
+def done_here(gripper, pool, model_planner) -> dict:
+    return without_time(evaluate(FEW, gripper, model_planner, pool, range(8)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["local", "ray"])
+def test_scenes_run_elsewhere_with_the_same_result(
+    gripper, pool, model_planner, done_here, kind, request
+):
+    if kind == "ray":
+        request.getfixturevalue("ray_cluster")
+    told: list[int] = []
+    there = evaluate(
+        FEW, gripper, model_planner, pool, range(8),
+        executor=ExecutorConfig(kind, workers=2), on_scene=lambda done, _: told.append(done),
+    )  # fmt: skip
+    assert without_time(there) == done_here
+    assert there.to_json()["config"]["executor"] == kind
+    assert told == [1, 2]
+
+
+def test_a_scene_that_fails_elsewhere_ends_the_run(gripper, pool):
+    settings = ProtocolSettings(protocol="single", scenes=2)
+    with pytest.raises(SimulationError, match="a scene failed after 0 of 2"):
+        evaluate(
+            settings, gripper, CeilingPlanner(gripper), pool, range(90, 95),
+            executor=ExecutorConfig(),
+        )  # fmt: skip
 
 
 def test_bad_settings_are_named():

@@ -19,9 +19,10 @@ from training_scenes import GRIPPER, record, written
 
 from megrasp_core.drawing.training_curves import append_losses, read_losses
 from megrasp_core.errors import DataError, InvalidRequestError, TrainingError
-from megrasp_core.network import PRESETS, load_model
+from megrasp_core.network import PRESETS, GraspModel, load_model
 from megrasp_core.training import (
     Counters,
+    Team,
     TrainConfig,
     TrainingJob,
     TrainingRun,
@@ -29,7 +30,6 @@ from megrasp_core.training import (
     resume_training,
     train,
 )
-from megrasp_core.training.processes import Team
 
 CONFIG = TrainConfig(
     network=PRESETS["tiny"],
@@ -209,6 +209,48 @@ def test_two_processes_train_what_one_does(data, tmp_path):
     counters = [load_model(tmp_path / name / "model").info.counters for name in ("1", "2")]
     for name in ("steps", "poses", "labelled_poses", "scenes"):
         assert counters[0][name] == counters[1][name]
+
+
+@pytest.mark.slow
+def test_processes_of_torchrun_train_what_one_process_does(data, tmp_path):
+    """The same command under torchrun, whose two processes take a scene of a step each."""
+    command = [
+        "-m", "megrasp_core", "train", "--data", str(data), "--preset", "tiny",
+        "--gripper", GRIPPER, "--total-poses", str(64 * 4), "--set", "scenes_per_step=2",
+        "poses_per_scene=32", "confidence_poses=8", "node_sets=2", "validation_pairs=1",
+        "warmup_steps=1",
+    ]  # fmt: skip
+    torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    outputs = []
+    for name, before in (("1", []), ("2", torchrun)):
+        done = subprocess.run(
+            [sys.executable, *before, *command, "--out", str(tmp_path / name)],
+            capture_output=True, text=True, timeout=300.0, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        outputs.append(done.stdout)
+    assert outputs[1].count("wrote checkpoint and model") == 1, "one of them writes and tells"
+    one, two = (weights(tmp_path / name) for name in ("1", "2"))
+    torch.manual_seed(1)
+    start = GraspModel(PRESETS["tiny"]).state_dict()
+    assert distance(one, two) < 0.01 * distance(one, start)
+    counters = [load_model(tmp_path / name / "model").info.counters for name in ("1", "2")]
+    for name in ("steps", "poses", "labelled_poses", "scenes"):
+        assert counters[0][name] == counters[1][name]
+
+
+def test_what_a_launcher_says_is_obeyed_or_refused(tmp_path):
+    where = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": "29500"}
+    assert Team.launched({**where, "RANK": "3", "WORLD_SIZE": "8"}) == Team(3, 8)
+    assert Team.launched({**where, "RANK": "0", "WORLD_SIZE": "1"}) is None
+    assert Team.launched({"RANK": "0", "WORLD_SIZE": "2"}) is None, "nobody says where to meet"
+    for rank, size in (("2", "2"), ("-1", "2"), ("a", "2"), ("0", "0")):
+        with pytest.raises(InvalidRequestError, match=f"RANK {rank} and WORLD_SIZE {size}"):
+            Team.launched({**where, "RANK": rank, "WORLD_SIZE": size})
+    with pytest.raises(InvalidRequestError, match="Leave --processes out"):
+        TrainingJob((tmp_path,), tmp_path, processes=2, place=Team(0, 2))
+    with pytest.raises(InvalidRequestError, match="4 processes were asked for and a step has 1"):
+        train(TrainingJob((tmp_path,), tmp_path, place=Team(0, 4)), CONFIG)
 
 
 def test_a_step_is_shared_out_whole():

@@ -21,6 +21,7 @@ from .data.samples import samples
 from .data.verify import verify
 from .demo import demo
 from .evaluation import evaluation
+from .explain import explain
 from .gripper.fidelity import fidelity
 from .gripper.frames import frames
 from .gripper.inspect import check, listed, render, show
@@ -44,6 +45,7 @@ Command = Callable[..., int]
 COMMANDS: dict[str, Command | tuple[str, dict[str, Command]]] = {
     "demo": demo,
     "synthesize": synthesize,
+    "explain": explain,
     "serve": serve,
     "view": view,
     "gripper": (

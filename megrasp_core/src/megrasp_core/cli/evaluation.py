@@ -5,8 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from megrasp_core.errors import InvalidRequestError
+
 from .clutter import clutter_rates
 from .common import Flag, emit, progress_bar, say
+from .runs import Executor, executor_of
 
 if TYPE_CHECKING:
     from megrasp_core.evaluation.planners import Planner
@@ -40,6 +43,9 @@ def evaluation(
     without: tuple[Literal["openings", "sweep", "turns", "polish"], ...] = (),
     device: str = "cpu",
     threads: int | None = None,
+    executor: Executor = "local",
+    address: str | None = None,
+    workers: int = 1,
     seed: int = 1,
 ) -> int:
     """Success rates in simulation, with intervals.
@@ -62,6 +68,7 @@ def evaluation(
       megrasp eval --gripper franka_hand --protocol packed --scenes 100 --out packed.json
       megrasp eval --gripper franka_hand --protocol pile --engine mujoco --out pile.json
       megrasp eval --gripper robotiq_3f --execute-with robotiq_3f_cad --judged 20 --out t.json
+      megrasp eval --gripper robotiq_2f85 --executor ray --workers 32 --out many.json
 
     Args:
         gripper: name, or folder of a gripper.yaml.
@@ -95,10 +102,12 @@ def evaluation(
             far the protocol can be passed at all. Use it with --samples 0.
         without: stages of the synthesis that are left out, to see what each of them gains.
         device: cpu or cuda.
-        threads: torch threads.
+        threads: torch threads; where several processes run the scenes, one each without it.
+        executor: local processes or a Ray cluster that run the scenes.
+        address: of the Ray cluster.
+        workers: processes or tasks in flight.
         seed: of scenes, noise and samples.
     """
-    from megrasp_core.errors import InvalidRequestError
     from megrasp_core.evaluation.ceiling import CeilingPlanner
     from megrasp_core.evaluation.clutter_removal.protocol import ClutterSettings
     from megrasp_core.evaluation.object_pool import graspable_objects, load_pool
@@ -108,14 +117,23 @@ def evaluation(
     from megrasp_core.grippers import load_gripper
     from megrasp_core.synthesizer import GraspSynthesizer, SynthesizerSettings
 
+    spread = None
+    if executor != "local" or workers != 1:
+        spread = executor_of(executor, address, workers)
+        if device != "cpu":
+            raise InvalidRequestError(
+                f"--device {device} was given with --executor {executor} --workers {workers}; "
+                "expected cpu, since the processes that run the scenes have no other device. "
+                "Leave one of them out."
+            )
     rounds: ClutterSettings | None = None
     settings: ProtocolSettings | None = None
     if protocol == "packed" or protocol == "pile":
-        if ceiling or crop_floor or views != 10 or judged or count_all:
+        if ceiling or crop_floor or views != 10 or judged or count_all or spread:
             raise InvalidRequestError(
-                f"--ceiling, --crop-floor, --views, --judged or --count-all was given with "
-                f"{protocol}; expected none of them: its rounds have one side view of the whole "
-                "table and count what was executed. Leave them out."
+                f"--ceiling, --crop-floor, --views, --judged, --count-all or workers were given "
+                f"with {protocol}; expected none of them: its rounds have one side view of the "
+                "whole table, count what was executed and run in one process. Leave them out."
             )
         rounds = ClutterSettings(
             scene=protocol, rounds=scenes, engine=engine, drawn=drawn, returned=returned,
@@ -179,7 +197,7 @@ def evaluation(
 
         result = evaluate(
             settings, executing, planner, pool, usable, objects=place, planned_for=loaded.name,
-            on_scene=tell,
+            executor=spread, on_scene=tell,
         )  # fmt: skip
     content = result.to_json()
     for key in ("first", "first_all", "filtered", "unfiltered", "judged"):

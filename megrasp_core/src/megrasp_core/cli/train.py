@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -52,6 +53,8 @@ def train(
       megrasp train --data data/scenes --out runs/small --resume --minutes 170
       megrasp train --data data/scenes --out runs/fine --network fine_neighbours=24 s_min=0.015
       megrasp train --data scenes.mgpack --out runs/small --device cuda
+      torchrun --nproc-per-node 4 -m megrasp_core train --data data/scenes --out runs/small \
+        --set scenes_per_step=4
 
     Args:
         data: folders of `data scenes`, or device packs of `data pack`; a folder that still grows
@@ -62,7 +65,8 @@ def train(
         validation: scenes of objects that training never sees; without them a tenth of the
             objects is held out.
         device: cpu or cuda.
-        processes: that share the work, one thread each.
+        processes: that share the work, one thread each; a launcher of processes, such as
+            torchrun, is obeyed without it.
         compiled: use compiled kernels, which are faster; they need the extra `kernels` (numba).
         minutes: end of this stretch; without, the plan is trained to its end.
         total_poses: noisy poses of the whole plan, which the learning rate follows; by default
@@ -79,10 +83,12 @@ def train(
     import torch
 
     from megrasp_core.network import load_model
-    from megrasp_core.training import TrainingJob, resume_training
+    from megrasp_core.training import Team, TrainingJob, resume_training
     from megrasp_core.training import train as begin_training
     from megrasp_core.training.checkpoint import TENSORS as CHECKPOINT
 
+    place = Team.launched(os.environ)
+    leads = place is None or place.leads
     job = TrainingJob(
         data=tuple(data),
         out=out,
@@ -91,6 +97,7 @@ def train(
         processes=processes,
         seconds=None if minutes is None else 60.0 * minutes,
         compiled=compiled,
+        place=place,
     )
     # More threads than one wait for each other on a busy machine; processes do not.
     torch.set_num_threads(1)
@@ -110,7 +117,7 @@ def train(
         if resume:
             resume_training(job, total_poses=total_poses, on_progress=_Display(bar))
         else:
-            if (out / CHECKPOINT).exists():
+            if leads and (out / CHECKPOINT).exists():
                 raise InvalidRequestError(
                     f"{out} holds a run already; expected --resume to go on with it, or another "
                     "--out."
@@ -120,7 +127,8 @@ def train(
                 preset, start, network, settings, model_id, gripper, total_poses, seed
             )
             begin_training(job, config, start_from=start, on_progress=_Display(bar))
-    say(f"wrote checkpoint and model to {out}; --resume goes on from there")
+    if leads:
+        say(f"wrote checkpoint and model to {out}; --resume goes on from there")
     return 0
 
 

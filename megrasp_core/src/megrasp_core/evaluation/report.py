@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -13,7 +14,9 @@ from typing import Any
 import numpy as np
 import torch
 
+from megrasp_core.errors import SimulationError
 from megrasp_core.grippers import Gripper
+from megrasp_core.jobs import ExecutorConfig, Progress, run_units
 from megrasp_core.machine import processor
 from megrasp_core.objects import ObjectModel
 
@@ -35,6 +38,7 @@ class EvaluationResult:
     graspable: int
     objects: str
     scenes: tuple[SceneOutcome, ...]
+    executor: ExecutorConfig | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Content of the result file."""
@@ -87,6 +91,8 @@ class EvaluationResult:
             "objects": self.objects,
             "pool": self.pool,
             "graspable_objects": self.graspable,
+            "executor": "local" if self.executor is None else self.executor.kind,
+            "workers": 1 if self.executor is None else self.executor.workers,
         }
         return content
 
@@ -128,9 +134,11 @@ def evaluate(
     *,
     objects: str = "procedural",
     planned_for: str | None = None,
+    executor: ExecutorConfig | None = None,
     on_scene: Callable[[int, EvaluationResult], None] | None = None,
 ) -> EvaluationResult:
-    """Run all scenes of a protocol.
+    """Run all scenes of a protocol; where and by how many workers changes nothing but the time
+    that they take.
 
     Args:
         settings: the run.
@@ -140,10 +148,16 @@ def evaluate(
         graspable: indices of those that the gripper can hold.
         objects: where they come from, for the result file.
         planned_for: name of the gripper that the planner plans for, where it is another.
+        executor: how the scenes are spread; by default one after another, in this process.
         on_scene: called with the number of scenes done and the result so far.
+
+    Raises:
+        SimulationError: a scene could not be run.
+        KeyboardInterrupt: the run was stopped; rates of some scenes are not those of all.
     """
-    outcomes: list[SceneOutcome] = []
+    outcomes: dict[int, SceneOutcome] = {}
     search = GraspSearch(gripper) if settings.possible_only else None
+    run = functools.partial(run_scene, settings, gripper, planner, pool, graspable, search=search)
 
     def result() -> EvaluationResult:
         return EvaluationResult(
@@ -154,16 +168,38 @@ def evaluate(
             len(pool),
             len(graspable),
             objects,
-            tuple(outcomes),
+            tuple(outcomes[index] for index in sorted(outcomes)),
+            executor,
         )
 
-    for index in range(settings.scenes):
-        outcomes.append(
-            run_scene(settings, gripper, planner, pool, graspable, index, search=search)
-        )
+    def take(index: int, outcome: SceneOutcome) -> None:
+        outcomes[index] = outcome
         if on_scene is not None:
-            on_scene(index + 1, result())
+            on_scene(len(outcomes), result())
+
+    if executor is None:
+        for index in range(settings.scenes):
+            take(index, run(index))
+        return result()
+    summary = run_units(
+        run,
+        range(settings.scenes),
+        executor,
+        on_result=take,
+        on_progress=_go_on_without_failures,
+    )
+    if summary.cancelled:
+        raise KeyboardInterrupt
     return result()
+
+
+def _go_on_without_failures(progress: Progress) -> None:
+    if progress.failed:
+        raise SimulationError(
+            f"a scene failed after {progress.done} of {progress.total}, as said before; expected "
+            "all to run, since rates of some are not those of all. Run it with --executor local "
+            "to see where."
+        )
 
 
 def hardware() -> dict[str, Any]:

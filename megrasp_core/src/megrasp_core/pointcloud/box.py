@@ -93,6 +93,18 @@ class OrientedBox:
         pose[:3, 3] += self.rotation[:, axis] * (sign * by / 2)
         return OrientedBox(pose, size)
 
+    def upright(self, up: ArrayLike) -> OrientedBox:
+        """Return the same box with its axes in an order and with signs so that the third is the
+        one that looks most along `up` (3,).
+        """
+        axis, sign = self.face_towards(up)
+        order = [(axis + 1) % 3, (axis + 2) % 3, axis]
+        pose = self.world_from_box.copy()
+        pose[:3, :3] = self.rotation[:, order]
+        if sign < 0:
+            pose[:3, [0, 2]] *= -1.0
+        return OrientedBox(pose, self.size[order])
+
     def transformed(self, target_from_world: ArrayLike) -> OrientedBox:
         """Return the same box in another frame; `target_from_world` is (4, 4) and rigid."""
         return OrientedBox(

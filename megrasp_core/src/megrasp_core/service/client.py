@@ -30,10 +30,12 @@ class PlannerError(Exception):
 class PlannerClient:
     """Asks a planner that `megrasp serve` runs.
 
-    planner = PlannerClient("http://127.0.0.1:8741")
-    planner.set_gripper("franka_hand")
-    answer = planner.synthesize(points, sensor=[0, 0, 0.8], num_grasps=5)
-    best = answer["grasps"][0]["world_from_gripper"]
+    The gripper stays until another one is set:
+
+        planner = PlannerClient("http://127.0.0.1:8741")
+        planner.set_gripper("franka_hand")
+        answer = planner.synthesize(points, sensor=[0, 0, 0.8], num_grasps=5)
+        best = answer["grasps"][0]["world_from_gripper"]
     """
 
     def __init__(

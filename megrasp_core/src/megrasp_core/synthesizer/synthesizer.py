@@ -25,6 +25,7 @@ from .request import SynthesisRequest
 from .result import Synthesis
 from .run import Cancelled, OnPoses, OnStep, SynthesisRun
 from .settings import SynthesizerSettings
+from .trace import OnTrace
 
 __all__ = ["GraspSynthesizer"]
 
@@ -131,6 +132,7 @@ class GraspSynthesizer:
         *,
         on_step: OnStep | None = None,
         on_poses: OnPoses | None = None,
+        on_trace: OnTrace | None = None,
         cancelled: Cancelled | None = None,
         **options: Any,
     ) -> Synthesis:
@@ -145,6 +147,7 @@ class GraspSynthesizer:
                 sample, rank.
             on_poses: called after each step of the sampler with poses as they are then: neither
                 finished nor checked, in no order.
+            on_trace: called at the end with what became of every drawn pose.
             cancelled: asked between steps.
 
         Raises:
@@ -169,6 +172,8 @@ class GraspSynthesizer:
             cloud, request = cloud.moved(-offset), request.moved(-offset)
             if on_poses is not None:
                 on_poses = _moved_back(on_poses, offset)
+            if on_trace is not None:
+                on_trace = _with_offset(on_trace, offset)
         with self._running():
             result = SynthesisRun(
                 self.model,
@@ -180,6 +185,7 @@ class GraspSynthesizer:
                 settings=_calibrated(self.settings, self.model, self._mounted.gripper),
                 on_step=on_step,
                 on_poses=on_poses,
+                on_trace=on_trace,
                 cancelled=cancelled,
             ).run(cloud)
         if offset.any():
@@ -202,6 +208,10 @@ class GraspSynthesizer:
 
 def _moved_back(on_poses: OnPoses, offset: np.ndarray) -> OnPoses:
     return lambda poses: on_poses(poses.moved(offset))
+
+
+def _with_offset(on_trace: OnTrace, offset: np.ndarray) -> OnTrace:
+    return lambda trace: on_trace(replace(trace, offset=offset))
 
 
 def _far_origin(cloud: Cloud) -> np.ndarray:

@@ -4,6 +4,7 @@ from .batching import LabelledPoses, SceneBatch, SceneSource, balance, scene_bat
 from .config import GRIPPERS, Counters, TrainConfig, rate_factor
 from .loop import TrainingJob, TrainingRun, resume_training, train
 from .losses import scene_losses
+from .processes import Team
 from .rack import GripperRack
 from .scenes import (
     PoseTable,
@@ -24,6 +25,7 @@ __all__ = [
     "PoseTable",
     "SceneBatch",
     "SceneSource",
+    "Team",
     "TrainConfig",
     "TrainingEntry",
     "TrainingJob",

@@ -52,7 +52,9 @@ class TrainingJob:
         validation: data sets of objects that training never sees; without, a tenth of the objects
             of `data` is held out.
         device: where to train.
-        processes: that share a step's scenes, one thread each; on a CPU only.
+        processes: that this run starts to share a step's scenes, one thread each; on a CPU only.
+        place: this process among those that a launcher has started to share them, of which the
+            first one writes; None: there was no launcher.
         seconds: of this stretch, after which the run is saved and left; None: to the end of the
             plan.
         compiled: use compiled kernels, which need numba.
@@ -65,13 +67,24 @@ class TrainingJob:
     processes: int = 1
     seconds: float | None = None
     compiled: bool = False
+    place: Team | None = None
 
     def __post_init__(self) -> None:
-        if self.processes < 1 or (self.processes > 1 and self.device != "cpu"):
+        if self.processes < 1 or (self.size > 1 and self.device != "cpu"):
             raise InvalidRequestError(
-                f"{self.processes} processes on {self.device} were asked for; expected at least "
-                "one, and several only on cpu."
+                f"{self.size} processes on {self.device} were asked for; expected at least one, "
+                "and several only on cpu."
             )
+        if self.place is not None and self.processes > 1:
+            raise InvalidRequestError(
+                f"{self.processes} processes were asked for in a process that a launcher has "
+                "started; expected the launcher to start all of them. Leave --processes out."
+            )
+
+    @property
+    def size(self) -> int:
+        """How many processes train."""
+        return self.processes if self.place is None else self.place.size
 
 
 def train(
@@ -127,15 +140,17 @@ def _run(
     resume: bool,
     on_progress: Progress | None,
 ) -> GraspModel:
-    if job.processes > config.scenes_per_step:
+    if job.size > config.scenes_per_step:
         raise InvalidRequestError(
-            f"{job.processes} processes were asked for and a step has {config.scenes_per_step} "
+            f"{job.size} processes were asked for and a step has {config.scenes_per_step} "
             "scenes; expected at most one process a scene. Give more scenes_per_step."
         )
     followers: list[BaseProcess] = []
     team = Team()
     try:
-        if job.processes > 1:
+        if job.place is not None:
+            team = job.place.met()
+        elif job.processes > 1:
             followers, team = _gathered(job, config, start_from, resume)
         with tuned_process(), StopSignals() as signals:
             run = TrainingRun(job, config, team, start_from)
@@ -146,8 +161,9 @@ def _run(
             try:
                 # The first signal ends the stretch after the step at work, a second one at once.
                 with signals.held_back():
-                    _go_on(run, followers, lambda: bool(signals.received), on_progress)
-                    run.save()
+                    _go_on(run, lambda: bool(signals.received), on_progress)
+                    if team.leads:
+                        run.save()
                     ended = True
             except KeyboardInterrupt:
                 if not ended:
@@ -173,23 +189,19 @@ def _gathered(
             arguments = (rank, port, job, config, start_from, resume)
             followers.append(context.Process(target=_follow, args=arguments, daemon=True))
             followers[-1].start()
-    return followers, Team.joined(0, job.processes, port)
+    return followers, Team(0, job.processes).met(port)
 
 
-def _go_on(
-    run: TrainingRun,
-    followers: list[BaseProcess],
-    stopped: Callable[[], bool],
-    on_progress: Progress | None,
-) -> None:
+def _go_on(run: TrainingRun, stopped: Callable[[], bool], on_progress: Progress | None) -> None:
     """Train; save what there is when another process is lost."""
     try:
-        run.go_on(stopped, on_progress)
+        run.go_on(stopped, on_progress if run.team.leads else None)
     except RuntimeError as error:
-        if not followers:
+        if run.team.size == 1:
             raise
         # The step at work changed nothing: weights and counters are those of the one before.
-        run.save()
+        if run.team.leads:
+            run.save()
         raise TrainingError(
             f"a process that shares the training ended ({str(error).splitlines()[0]}); what was "
             "trained until then is saved. See its message on standard error, then go on with "
@@ -208,7 +220,7 @@ def _follow(
     """What the other processes do."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     torch.set_num_threads(1)
-    team = Team.joined(rank, job.processes, port)
+    team = Team(rank, job.processes).met(port)
     with tuned_process():
         run = TrainingRun(job, config, team, start_from)
         if resume:

@@ -1,5 +1,5 @@
 """Several processes that train one model: each takes a part of a step's scenes, their gradients
-are added up.
+are added up. A run starts them on its own machine, or a launcher such as torchrun does on many.
 
 One thread a process: two threads in one process wait for each other on a busy machine.
 """
@@ -10,14 +10,14 @@ import ctypes
 import dataclasses
 import datetime
 import socket
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
-from megrasp_core.errors import TrainingError
+from megrasp_core.errors import InvalidRequestError, TrainingError
 
 _MMAP_MAX, _TRIM_THRESHOLD, _TOP_PAD = -4, -1, -2
 """Parameters of glibc's `mallopt`."""
@@ -48,6 +48,8 @@ def _keep_memory(keep: bool) -> None:
         allocator.mallopt(_TOP_PAD, 2**26 if keep else 2**17)
 
 
+LAUNCHER = ("RANK", "WORLD_SIZE", "MASTER_ADDR", "MASTER_PORT")
+"""Environment variables by which launchers tell a process its place."""
 START = datetime.timedelta(minutes=3)
 """How long a process waits for the others to start."""
 PATIENCE = datetime.timedelta(hours=1)
@@ -72,16 +74,48 @@ class Team:
         return self.rank == 0
 
     @staticmethod
-    def joined(rank: int, size: int, port: int) -> Team:
-        """Meet the others at a port of this machine; waits until all are there.
+    def launched(environment: Mapping[str, str]) -> Team | None:
+        """The processes that a launcher has started, as its variables RANK, WORLD_SIZE,
+        MASTER_ADDR and MASTER_PORT tell; None where they are not all set, or this one is alone.
+
+        Raises:
+            InvalidRequestError: rank and size are no numbers that fit.
+        """
+        if not all(environment.get(name) for name in LAUNCHER):
+            return None
+        given = environment["RANK"], environment["WORLD_SIZE"]
+        try:
+            rank, size = map(int, given)
+        except ValueError:
+            rank = size = -1
+        if not 0 <= rank < size:
+            raise InvalidRequestError(
+                f"RANK {given[0]} and WORLD_SIZE {given[1]} are set; expected the number of a "
+                "process, from 0, and how many there are. Start with torchrun, or unset them."
+            )
+        return Team(rank, size) if size > 1 else None
+
+    def met(self, port: int | None = None) -> Team:
+        """Meet the others and wait until all are there.
+
+        Args:
+            port: of this machine; None: where the launcher's variables say.
 
         Raises:
             TrainingError: they are not all there in time.
         """
+        rank, size = self.rank, self.size
         try:
-            store = dist.TCPStore(  # pyright: ignore[reportPrivateImportUsage]
-                "127.0.0.1", port, size, rank == 0, timeout=START
-            )
+            if port is None:
+                store, _, _ = next(
+                    dist.rendezvous(  # pyright: ignore[reportPrivateImportUsage]
+                        "env://", rank, size, timeout=START
+                    )
+                )
+            else:
+                store = dist.TCPStore(  # pyright: ignore[reportPrivateImportUsage]
+                    "127.0.0.1", port, size, rank == 0, timeout=START
+                )
             dist.init_process_group(
                 "gloo", store=store, rank=rank, world_size=size, timeout=PATIENCE
             )
@@ -91,11 +125,11 @@ class Team:
                 f"{START.total_seconds():.0f} s ({error}). See what the others wrote to standard "
                 "error; a script that trains needs `if __name__ == '__main__':`."
             ) from error
-        return Team(rank, size)
+        return self
 
     def leave(self) -> None:
         """The end of the run."""
-        if self.size > 1:
+        if self.size > 1 and dist.is_initialized():
             dist.destroy_process_group()
 
     def slots(self, count: int) -> range:
