@@ -77,11 +77,10 @@ def clutter_tables(results: Sequence[Mapping[str, Any]]) -> str:
 def _rate(entry: Mapping[str, Any]) -> str:
     if entry["ci95"] is None:
         return ""
+    text = f"{entry['successes']}/{entry['trials']} = {100 * entry['rate']:.1f}"
     low, high = entry["ci95"]
-    return (
-        f"{entry['successes']}/{entry['trials']} = **{100 * entry['rate']:.1f}** "
-        f"[{100 * low:.1f}, {100 * high:.1f}]"
-    )
+    # A bootstrap of rounds that all ended alike says nothing of others.
+    return text if low == high else f"{text} [{100 * low:.1f}, {100 * high:.1f}]"
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
