@@ -10,6 +10,7 @@ from .bench import bench
 from .bin import find
 from .calibrate import calibrate
 from .compare import compare
+from .data.few import few
 from .data.generate import grasps, scenes, stats
 from .data.look import look
 from .data.pack import pack
@@ -22,6 +23,7 @@ from .data.verify import verify
 from .demo import demo
 from .evaluation import evaluation
 from .explain import explain
+from .finetune import finetune
 from .gripper.fidelity import fidelity
 from .gripper.frames import frames
 from .gripper.inspect import check, listed, render, show
@@ -83,9 +85,11 @@ COMMANDS: dict[str, Command | tuple[str, dict[str, Command]]] = {
             "samples": samples,
             "rollouts": rollouts,
             "robust": robust,
+            "few": few,
         },
     ),
     "train": train,
+    "finetune": finetune,
     "eval": evaluation,
     "calibrate": calibrate,
     "compare": compare,

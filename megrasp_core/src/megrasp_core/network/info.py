@@ -43,6 +43,7 @@ class ModelInfo:
         counters: steps, poses, CPU-seconds and the like, of `megrasp train`.
         training: settings of `megrasp train`, as they were then.
         started_from: the same facts of the model whose weights the training began with.
+        finetuned: gripper, grasps and settings of `megrasp finetune`, and what it gained.
     """
 
     network: ModelConfig
@@ -61,6 +62,7 @@ class ModelInfo:
     counters: Mapping[str, float] = dataclasses.field(default_factory=dict)
     training: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     started_from: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    finetuned: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> ModelInfo:
@@ -101,6 +103,12 @@ class ModelInfo:
             kind: fitted.to_dict() for kind, fitted in self.calibration_by_kind.items()
         }
         return {name: value for name, value in plain.items() if value not in (None, {}, "")}
+
+    def as_start(self) -> dict[str, Any]:
+        """What another model says of this one, whose weights it began with: `started_from`."""
+        kept = ("model_id", "counters", "training", "data_scenes", "sha256", "heads", "finetuned")
+        facts = self.to_dict()
+        return {name: facts[name] for name in kept if name in facts}
 
     def calibration_for(self, gripper: str, kind: str) -> Calibration | None:
         """The calibration for a gripper by name and kind."""

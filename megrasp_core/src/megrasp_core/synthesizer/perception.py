@@ -30,6 +30,7 @@ class Perceived:
     Attributes:
         nodes: what the model sees.
         judge: of poses in it.
+        surface: what the nodes were chosen from.
         empty: nothing but the support surface is left.
         notes: what was taken for granted, for who reads the answer.
         objects: where the cloud tells them apart.
@@ -37,6 +38,7 @@ class Perceived:
 
     nodes: SceneNodes
     judge: SceneJudge
+    surface: SurfaceCloud
     empty: bool
     notes: tuple[str, ...] = ()
     objects: LabelledObjects | None = None
@@ -80,6 +82,7 @@ def perceive(
     return Perceived(
         scene_nodes(surface, scene),
         SceneJudge(surface, request, ranking, objects),
+        surface,
         # Under a floor that is only thought to be there, a flat object may be all that is seen.
         not structure.estimated
         and only_support_left(surface.points, request.region, surface.gravity),

@@ -1,7 +1,9 @@
-"""Training: batches, losses, loop, validation, checkpoints that resume, loss curves."""
+"""Training: batches, losses, loop, validation, checkpoints that resume, fine-tuning."""
 
 from .batching import LabelledPoses, SceneBatch, SceneSource, balance, scene_batch
 from .config import GRIPPERS, Counters, TrainConfig, rate_factor
+from .finetune import FEW, FinetuneConfig, FinetuneResult, finetune
+from .given_grasps import GivenGrasp, GivenScene, doubt, given_scene
 from .loop import TrainingJob, TrainingRun, resume_training, train
 from .losses import scene_losses
 from .processes import Team
@@ -19,7 +21,12 @@ from .validation import ValidationResult, validate, validation_pairs
 
 __all__ = [
     "Counters",
+    "FEW",
+    "FinetuneConfig",
+    "FinetuneResult",
     "GRIPPERS",
+    "GivenGrasp",
+    "GivenScene",
     "GripperRack",
     "LabelledPoses",
     "PoseTable",
@@ -33,6 +40,9 @@ __all__ = [
     "ValidationResult",
     "balance",
     "divided",
+    "doubt",
+    "finetune",
+    "given_scene",
     "is_held_out",
     "rate_factor",
     "read_entries",

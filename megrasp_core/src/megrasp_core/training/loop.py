@@ -246,9 +246,7 @@ class TrainingRun:
         self.facts: dict[str, Any] = {}
         if start_from is not None:
             self.model.load_state_dict(start_from.state_dict())
-            kept = ("model_id", "counters", "training", "data_scenes", "sha256", "heads")
-            before = start_from.info.to_dict()
-            self.facts = {"started_from": {k: before[k] for k in kept if k in before}}
+            self.facts = {"started_from": start_from.info.as_start()}
         move_to(self.model, job.device)
         self.model.low_precision = low_precision_pays(job.device)
         if job.compiled:

@@ -60,6 +60,54 @@ def nearest_copies(rotation: Tensor, noisy: Tensor, fold: Tensor) -> Tensor:
     return rotation @ so3.exp(turn)
 
 
+@dataclasses.dataclass(frozen=True)
+class Denoising:
+    """Errors of the network's predictions for noisy poses.
+
+    Attributes:
+        residual: `(P,)` squared error of the residual, mean over its six components.
+        score: `(P,)` squared error of the rotation score, mean over its three.
+    """
+
+    residual: Tensor
+    score: Tensor
+
+
+def denoising(
+    model: GraspModel,
+    field: SceneField,
+    code: GripperCode,
+    clean: PoseBatch,
+    level: Tensor,
+    schedule: NoiseSchedule,
+    generator: torch.Generator,
+    fold: Tensor | None = None,
+) -> Denoising:
+    """Put noise on poses and see how far the network is from taking it off again.
+
+    Args:
+        model: to be trained.
+        field: the scene.
+        code: of the poses' grippers.
+        clean: P, scene_from_tcp.
+        level: `(P,)` of noise.
+        schedule: noise.
+        generator: of the noise.
+        fold: `(P,)` symmetries, where the copy nearest to the noisy pose is the target.
+    """
+    noisy = perturb(clean, level, schedule, generator)
+    aim = clean
+    if fold is not None:
+        nearest = nearest_copies(clean.rotation, noisy.rotation, fold)
+        aim = PoseBatch(nearest, clean.translation)
+    prediction = model.predict(field, code, noisy, level)
+    y = target(aim, noisy, level, schedule)
+    score = score_target(clean, noisy, level, schedule)
+    return Denoising(
+        (prediction.residual - y).square().mean(-1), (prediction.score - score).square().mean(-1)
+    )
+
+
 def scene_losses(
     model: GraspModel,
     codes: Mapping[str, GripperCode],
@@ -101,18 +149,19 @@ def scene_losses(
                 for part in batch.positives.values()
             ]
         )
-        clean = poses.poses
-        noisy = perturb(clean, level, schedule, generator)
-        aim = clean
-        if config.nearest_copy:
-            nearest = nearest_copies(clean.rotation, noisy.rotation, fold)
-            aim = PoseBatch(nearest, clean.translation)
-        y = target(aim, noisy, level, schedule)
-        score = score_target(clean, noisy, level, schedule)
-        prediction = model.predict(field, code, noisy, level)
-        residual = (prediction.residual - y).square().mean(-1)
+        found = denoising(
+            model,
+            field,
+            code,
+            poses.poses,
+            level,
+            schedule,
+            generator,
+            fold if config.nearest_copy else None,
+        )
+        residual = found.residual
         terms["diffusion"] = residual.mean()
-        terms["score"] = (prediction.score - score).square().mean()
+        terms["score"] = found.score.mean()
     if batch.labelled:
         poses, code = _joined(batch.labelled, codes, device)
         logit = model.confidence(field, code, poses.poses)
