@@ -21,6 +21,17 @@ NAMES: dict[str, Name] = {
         "`continuous`",
         heard=True,
     ),
+    "depth": Name(
+        "sensor_msgs/msg/Image",
+        "with `input: depth`, in place of `points`: 16UC1 in mm or 32FC1 in m, rectified",
+        heard=True,
+    ),
+    "camera_info": Name("sensor_msgs/msg/CameraInfo", "of the depth image", heard=True),
+    "mask": Name(
+        "sensor_msgs/msg/Image",
+        "which object a pixel shows, where somebody publishes it",
+        heard=True,
+    ),
     "tool_id": Name(
         "std_msgs/msg/String",
         "latched; what the tool changer holds; a mismatch is error 203",
@@ -50,6 +61,7 @@ NAMES: dict[str, Name] = {
     "set_gripper": Name("megrasp_msgs/srv/SetGripper", "service"),
     "list_grippers": Name("megrasp_msgs/srv/ListGrippers", "service"),
     "reload_grippers": Name("megrasp_msgs/srv/ReloadGrippers", "service"),
+    "detect_bin": Name("megrasp_msgs/srv/DetectBin", "service; pose, size and fill of the bin"),
     "generate_grasps": Name(
         "megrasp_msgs/action/GenerateGrasps",
         "action; feedback per phase and step, cancel stops within one step",
