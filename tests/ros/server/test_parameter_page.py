@@ -18,7 +18,7 @@ from megrasp_ros.server.parameter_page import TABLES, error_table
 
 PAGE = Path(__file__).parents[3] / "docs" / "ros.md"
 
-OPTIONAL = {"/tf_static", "points"}
+OPTIONAL = {"/tf_static", "points", "depth", "camera_info", "mask"}
 """There with tf2_msgs, and while a request waits."""
 
 
