@@ -19,12 +19,13 @@ from typing import Any
 import psutil
 from megrasp_msgs.srv import SynthesizeGrasps
 from rcl_interfaces.srv import GetParameters
+from rclpy import get_default_context
 
 from megrasp_core.machine import processor
 from megrasp_ros.process import StopSignals, run_program
 
 from .camera import DONE, picture, region_parameters
-from .server_process import ServerProcess, TrialError, camera_process, server_process
+from .server_process import STARTING, ServerProcess, TrialError, camera_process, server_process
 from .soak import quantiles
 
 RATES = (15.0, 30.0)
@@ -53,9 +54,9 @@ def bench(
     idle: list[dict[str, Any]] = []
     requests: list[dict[str, Any]] = []
     lost: list[dict[str, Any]] = []
-    with server_process(
-        {**region_parameters(), "request_timeout": LONGEST}, command=command
-    ) as server:
+    parameters = {**region_parameters(), "request_timeout": LONGEST}
+    context = get_default_context()
+    with server_process(parameters, command=command, context=context) as server:
         server.wait_until_active()
         tell("without a camera")
         idle.append({"mode": "on_demand", "clouds_per_second": 0.0, "cpu": idle_cpu(server)})
@@ -108,14 +109,16 @@ def idle_cpu(server: ServerProcess) -> float:
 
 def wait_for_clouds(server: ServerProcess) -> None:
     """Wait until the camera is there. Raises TrialError."""
-    end = time.monotonic() + 60.0
+    end = time.monotonic() + STARTING
     while time.monotonic() < end:
         if server.node.count_publishers("points"):
             # Then the server sees it, too.
             time.sleep(1.0)
             return
         time.sleep(0.1)
-    raise TrialError("no camera after 60 s; see whether python -m megrasp_ros.trials.camera runs")
+    raise TrialError(
+        f"no camera after {STARTING:g} s; see whether python -m megrasp_ros.trials.camera runs"
+    )
 
 
 def request_times(server: ServerProcess, repeats: int) -> dict[str, Any]:
@@ -164,10 +167,11 @@ def clouds_lost(server: ServerProcess, points: Any, rate: float) -> dict[str, An
     count = round(rate * CLOUDS)
     started = time.monotonic()
     with camera_process(server, points, rate=rate, count=count) as log:
-        end = time.monotonic() + 4 * CLOUDS + 60.0
+        longest = 4 * CLOUDS + STARTING
+        end = time.monotonic() + longest
         while DONE not in log.read_text(errors="replace"):
             if time.monotonic() > end:
-                raise TrialError(f"the camera did not send {count} clouds in {4 * CLOUDS:g} s")
+                raise TrialError(f"the camera did not send {count} clouds in {longest:g} s")
             time.sleep(0.2)
         seconds = time.monotonic() - started
         # What is on its way may still arrive, and the next line on /diagnostics tells.

@@ -23,6 +23,7 @@ from megrasp_msgs.msg import ErrorCode
 from megrasp_msgs.srv import ReloadGrippers, SetGripper, SynthesizeGrasps
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
+from rclpy import get_default_context
 
 from megrasp_core.machine import processor
 from megrasp_ros.process import StopSignals, run_program
@@ -174,7 +175,8 @@ def main() -> None:
     arguments = parser.parse_args()
 
     def run() -> int:
-        with server_process({}, command=arguments.server) as server:
+        context = get_default_context()
+        with server_process({}, command=arguments.server, context=context) as server:
             record = trial(server, arguments.requests, arguments.seed)
         text = json.dumps(record, indent=1) + "\n"
         if arguments.out is None:

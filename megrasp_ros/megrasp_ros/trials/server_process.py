@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -24,6 +25,7 @@ from megrasp_msgs.srv import ListGrippers, ReloadGrippers, SetGripper, Synthesiz
 from numpy.typing import NDArray
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.client import Client
+from rclpy.context import Context
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -31,6 +33,9 @@ from rclpy.parameter import Parameter
 from megrasp_core.errors import MegraspError
 from megrasp_ros.spinning import spin
 from megrasp_ros.waiting import wait_for_future
+
+_PR_SET_PDEATHSIG = 1
+"""Of sys/prctl.h."""
 
 STARTING = 240.0
 """Longest wait (s) for the node to be active on a busy machine."""
@@ -142,7 +147,11 @@ class ServerProcess:
 
 @contextmanager
 def server_process(
-    parameters: Mapping[str, Any], *, command: list[str] | None = None, namespace: str = ""
+    parameters: Mapping[str, Any],
+    *,
+    command: list[str] | None = None,
+    namespace: str = "",
+    context: Context | None = None,
 ) -> Iterator[ServerProcess]:
     """Yield a server that has been started and will be active soon.
 
@@ -150,6 +159,8 @@ def server_process(
         parameters: of the node.
         command: in place of the installed executable.
         namespace: of the server; by default one that nobody else has.
+        context: of the trial's node; a command gives rclpy's default one, which its signals shut
+            down, so that every wait ends. By default one of its own.
     """
     namespace = namespace or f"/trial_{os.getpid()}"
     with tempfile.TemporaryDirectory(prefix="megrasp_trial_") as folder:
@@ -157,20 +168,27 @@ def server_process(
         process = start_node(
             command or [str(executable("grasp_server"))], namespace, parameters, log
         )
-        context = rclpy.Context()
-        rclpy.init(context=context)
+        own = context is None
+        if context is None:
+            context = rclpy.Context()
+            rclpy.init(context=context)
         node = Node("trial", namespace=namespace, context=context)
         executor = MultiThreadedExecutor(num_threads=2, context=context)
         executor.add_node(node)
-        spinner = threading.Thread(target=spin, args=(executor, lambda: not context.ok()))
+        ended = threading.Event()
+        spinner = threading.Thread(target=spin, args=(executor, ended.is_set))
         spinner.daemon = True
         spinner.start()
         try:
             yield ServerProcess(node, process, log)
         finally:
             stop(process)
-            context.try_shutdown()
+            ended.set()
+            executor.shutdown()
             spinner.join(5.0)
+            node.destroy_node()
+            if own:
+                context.try_shutdown()
 
 
 def executable(name: str) -> Path:
@@ -190,9 +208,18 @@ def start_node(
             [*command, *arguments],
             stdout=output,
             stderr=subprocess.STDOUT,
-            # A shell's background job has SIGINT ignored, and so would the node.
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+            preexec_fn=_child,
         )
+
+
+def _child() -> None:
+    """Prepare a child: it hears SIGINT, which a shell's background job has ignored, and ends with
+    its parent.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    prctl = getattr(ctypes.CDLL(None), "prctl", None)
+    if prctl is not None:
+        prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def stop(process: subprocess.Popen[bytes]) -> int:

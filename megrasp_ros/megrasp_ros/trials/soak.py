@@ -23,6 +23,7 @@ import psutil
 from megrasp_msgs.action import GenerateGrasps
 from megrasp_msgs.msg import ErrorCode
 from megrasp_msgs.srv import ReloadGrippers, SetGripper, SynthesizeGrasps
+from rclpy import get_default_context
 from rclpy.action import ActionClient
 
 from megrasp_core.machine import processor
@@ -110,7 +111,7 @@ def soak(minutes: float, seed: int, note: str, every: float = 60.0) -> dict[str,
     """Return the record of `minutes` of work."""
     rows: list[dict[str, float]] = []
     with (
-        server_process(region_parameters()) as server,
+        server_process(region_parameters(), context=get_default_context()) as server,
         camera_process(server, picture(), rate=RATE),
     ):
         server.wait_until_active()
