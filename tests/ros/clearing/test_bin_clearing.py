@@ -70,10 +70,13 @@ def test_a_bin_is_emptied_with_two_grippers(cell):
     assert log.count("pick ") == summary["attempts"]
     assert "set_gripper franka_hand" in cell.log("grasp_server")
     lifted = [pick for pick in summary["picks"] if pick["success"]]
-    # The cell tells where the fingers stood, and what was lifted is as wide as it was seen.
-    assert all(pick["closed_width"] == pytest.approx(0.03, abs=0.02) for pick in lifted)
-    assert sum(pick["as_expected"] for pick in lifted) >= len(lifted) - 1
-    assert all((pick["failure"] == "") == pick["as_expected"] for pick in lifted)
+    # The cell tells where the fingers stood: mostly on the narrow side of a box, as was said, and
+    # now and then across another one.
+    for pick in lifted:
+        near = abs(pick["closed_width"] - 0.03) <= pick["width_tolerance"]
+        assert pick["as_expected"] == near
+        assert pick["failure"] == ("" if near else "unexpected_width")
+    assert sum(pick["as_expected"] for pick in lifted) >= 2
     assert "(as expected: 30)" in log
     for pick in summary["picks"]:
         if pick["returned"]:
