@@ -11,7 +11,7 @@ NODES = {
     "bin_clearing": "entry:bin_clearing",
     "tool_changer": "entry:tool_changer",
     "cloud_replay": "entry:cloud_replay",
-    "megrasp_call": "call.app:main",
+    "megrasp_call": "entry:megrasp_call",
     "bench_node": "entry:bench_node",
 }
 

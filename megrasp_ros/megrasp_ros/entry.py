@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 
-from .process import StopSignals
+from .process import INTERRUPTED, StopSignals
 
 
 def _run(module: str) -> None:
@@ -40,3 +41,12 @@ def cloud_replay() -> None:
 def bench_node() -> None:
     """Run the executable `bench_node`."""
     _run("trials.bench_node")
+
+
+def megrasp_call() -> None:
+    """Run the executable `megrasp_call`, in which Ctrl-C ends one call."""
+    try:
+        main = import_module("megrasp_ros.call.app").main
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+    main()
