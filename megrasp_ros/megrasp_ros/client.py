@@ -51,6 +51,9 @@ from .spinning import spin
 if TYPE_CHECKING:
     from megrasp_core.storage import AttemptFolder
 
+LOADING = 0.3
+"""Time between two questions to a server that is not active yet (s)."""
+
 OnFeedback = Callable[[GenerateGrasps.Feedback], None]
 
 __all__ = ["GraspClient", "GraspServerError", "OnFeedback"]
@@ -157,10 +160,10 @@ class GraspClient:
     # The server
 
     def wait_until_ready(self, timeout: float, *, cell: bool = False) -> None:
-        """Wait for the server's services, `timeout` seconds in all.
+        """Wait until the server is active, `timeout` seconds in all: it offers its services before
+        it has loaded its model, and answers NOT_ACTIVE meanwhile.
 
-        cell: wait for `change_tool` and `execute_grasp` as well. Whether the server is active is
-        not asked; see `state`.
+        cell: wait for `change_tool` and `execute_grasp` as well.
         """
         end = time.monotonic() + timeout
         caller = self._caller
@@ -180,6 +183,12 @@ class GraspClient:
             what = "action execute_grasp (the cell)"
             left = end - time.monotonic()
             caller.appear(what, execute.wait_for_server, timeout, left=left)
+        inactive = self._inactive()
+        while inactive is not None and time.monotonic() < end:
+            time.sleep(min(LOADING, max(0.0, end - time.monotonic())))
+            inactive = self._inactive()
+        if inactive is not None:
+            raise inactive
 
     def synthesize(self, num_grasps: int = 20, **fields: Any) -> SynthesizeGrasps.Response:
         """Grasps, best first, with what was rejected and the times.
@@ -345,6 +354,17 @@ class GraspClient:
         if self._recorder is None:
             raise ValueError("record was called; expected a client made with record=FOLDER.")
         return self._recorder.keep(grasps, grasp, success=success, reason=reason, extra=extra)
+
+    def _inactive(self) -> GraspServerError | None:
+        """The answer of a server that is not active."""
+        try:
+            # Nothing is changed by a dry run, whatever the name.
+            self.set_gripper("", dry_run=True)
+        except GraspServerError as error:
+            if error.code == ErrorCode.NONE:
+                raise
+            return error if error.code == ErrorCode.NOT_ACTIVE else None
+        return None
 
     def _filled(self, fields: dict[str, Any]) -> dict[str, Any]:
         timeout = self._caller.timeout
