@@ -57,8 +57,10 @@ class AnalyticGraspServer(Node):
             self._arrived.notify_all()
 
     def _set(self, request, response):
-        self._gripper = load_gripper(request.gripper_name)
         response.success = True
+        if request.dry_run:
+            return response
+        self._gripper = load_gripper(request.gripper_name)
         self.get_logger().info(f"set_gripper {request.gripper_name}")
         return response
 
