@@ -15,7 +15,7 @@ from megrasp_msgs.msg import Grasp
 from megrasp_msgs.srv import SynthesizeGrasps
 
 import megrasp_core
-from megrasp_ros.shared_memory import shared_memory_warning
+from megrasp_ros.fast_dds import shared_memory_warning
 
 Level = Literal["ok", "warn", "fail"]
 
@@ -86,7 +86,7 @@ def interfaces(kinds: Mapping[str, Any] | None = None) -> Check:
 
 def shared_memory(total: int | None = None) -> Check:
     """Whether clouds fit /dev/shm. total: its size in bytes, by default the machine's."""
-    wrong = shared_memory_warning(total=total)
+    wrong = shared_memory_warning(total)
     return Check("shared memory", "warn" if wrong else "ok", wrong or "/dev/shm is large enough")
 
 

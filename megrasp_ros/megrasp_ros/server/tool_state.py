@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Protocol
 from megrasp_core.errors import MegraspError
 from megrasp_ros.errors import BusyError, NotActiveError, ToolMismatchError, shortened
 
-LONGEST_NAME = 255
-"""Of a tool that somebody reports: every diagnosis tells it again."""
-
 if TYPE_CHECKING:
     from megrasp_core.grippers import Gripper
+
+LONGEST_NAME = 255
+"""Of a tool that somebody reports: every diagnosis tells it again."""
 
 
 class Told(Protocol):

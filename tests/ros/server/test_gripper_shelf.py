@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from megrasp_core import grippers
 from megrasp_core.errors import CancelledError, DescriptionError
 from megrasp_core.grippers import Gripper, load_gripper
 from megrasp_ros.errors import UnknownNameError
@@ -18,14 +19,14 @@ from megrasp_ros.server.gripper_shelf import GripperShelf
 @pytest.fixture
 def stalled(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Let the description of schunk_wsg32 lie on a disk that does not answer."""
-    answers, load = threading.Event(), gripper_shelf.load_gripper
+    answers, load = threading.Event(), grippers.load_gripper
 
     def stall(name: str, paths: Sequence[str]) -> Gripper:
         if "schunk_wsg32" in name:
             answers.wait()
         return load(name, paths)
 
-    monkeypatch.setattr(gripper_shelf, "load_gripper", stall)
+    monkeypatch.setattr(grippers, "load_gripper", stall)
     yield
     answers.set()
 
@@ -41,7 +42,7 @@ def test_reading_that_blocks_is_given_up(stalled: None) -> None:
 
 
 def test_who_comes_while_it_is_read_waits_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    begun, go_on, load = threading.Event(), threading.Event(), gripper_shelf.load_gripper
+    begun, go_on, load = threading.Event(), threading.Event(), grippers.load_gripper
     loads: list[str] = []
 
     def slow(name: str, paths: Sequence[str]) -> Gripper:
@@ -50,7 +51,7 @@ def test_who_comes_while_it_is_read_waits_for_it(monkeypatch: pytest.MonkeyPatch
         go_on.wait()
         return load(name, paths)
 
-    monkeypatch.setattr(gripper_shelf, "load_gripper", slow)
+    monkeypatch.setattr(grippers, "load_gripper", slow)
     shelf, found = GripperShelf(), []
 
     def ask() -> None:
