@@ -110,7 +110,7 @@ def test_a_model_like_any_other_comes_out(capsys, folder, model, tmp_path, caplo
     code, _, told = run(capsys, *args)
     assert code == 2 and "1 grasps were given; expected at least 3" in told
     code, said, _ = run(
-        capsys, *args, "--steps", 1, "--seed", 4,
+        capsys, *args, "--steps", 1, "--seed", 4, "--report", tmp_path / "report.json",
         "--set", "poses_per_scene=4", "head_poses=2", "node_sets=1", "validation_poses=16",
     )  # fmt: skip
     assert code == 0 and str(out) in said
@@ -122,6 +122,8 @@ def test_a_model_like_any_other_comes_out(capsys, folder, model, tmp_path, caplo
     facts = info.finetuned
     assert facts["steps"] == 1 and facts["settings"]["seed"] == 4
     assert facts["grasps"][0]["sha256"] == read_grasps(grasps)[0].digest
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["written"] and report["grasps"] == facts["grasps"]
     card = (out / "MODEL_CARD.md").read_text()
     assert "robotiq_2f85" in card and "nothing shows that the model is better" in card
     code, _, told = run(capsys, *args)

@@ -26,8 +26,8 @@ from megrasp_core.training import (
 
 NEW, KNOWN = "robotiq_2f140", "robotiq_2f85"
 CONFIG = FinetuneConfig(
-    steps=30, check_every=10, folds=2, poses_per_scene=24, head_poses=4, node_sets=1,
-    learning_rate=3e-3, validation_poses=48,
+    steps=60, check_every=20, folds=3, poses_per_scene=24, head_poses=4, node_sets=1,
+    learning_rate=1e-2, keep_weight=1.0, validation_poses=96,
 )  # fmt: skip
 BOX = 0.05
 """Height of the box (m)."""
@@ -59,14 +59,15 @@ def parent() -> GraspModel:
     model = GraspModel(PRESETS["tiny"], model_id="start")
     # Zeros as weights would hold the decoder's answer constant, whatever the gripper.
     for block in (*model.decoder.blocks, *model.confidence_decoder.blocks):
-        torch.nn.init.normal_(block.film.weight, std=0.05)  # type: ignore[union-attr]
+        torch.nn.init.normal_(block.film.weight, std=0.2)  # type: ignore[union-attr]
+    model.info = dataclasses.replace(model.info, heads=("confidence", "graspability"))
     return model.eval().requires_grad_(False)
 
 
 @pytest.fixture(scope="module")
 def scenes(parent: GraspModel) -> list[GivenScene]:
     gripper = load_gripper(NEW)
-    return [given_scene(grasp(seed, depth=0.02), gripper, parent.info.scene) for seed in range(4)]
+    return [given_scene(grasp(seed, depth=0.02), gripper, parent.info.scene) for seed in range(6)]
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +77,7 @@ def result(parent, scenes):
 
 def test_the_loss_of_grasps_left_out_falls(result):
     assert result.model is not None
-    assert result.steps in (10, 20, 30) and result.gain > result.gain_error
+    assert result.steps in (20, 40, 60) and result.gain > 2 * result.gain_error
     assert np.mean([*result.after.values()]) == pytest.approx(
         np.mean([*result.before.values()]) - result.gain
     )

@@ -12,7 +12,7 @@ import tyro
 
 from megrasp_core.errors import InvalidRequestError
 
-from .common import changed, progress_bar, say
+from .common import changed, emit, progress_bar, say
 from .grasp_file import read_grasps
 
 __all__ = ["finetune"]
@@ -30,6 +30,7 @@ def finetune(
     settings: Annotated[
         tuple[str, ...], tyro.conf.arg(name="set", metavar="NAME=VALUE [NAME=VALUE ...]")
     ] = (),
+    report: Path | None = None,
     device: str = "cpu",
     seed: int = 1,
 ) -> int:
@@ -54,6 +55,7 @@ def finetune(
         model_id: by default the parent's and the gripper's.
         steps: take so many, whatever the grasps left out say; needed with less than three grasps.
         settings: further settings, by the names of `FinetuneConfig`.
+        report: JSON file of what was found out, also where no model is written.
         device: cpu or cuda.
         seed: of everything drawn.
     """
@@ -94,6 +96,18 @@ def finetune(
         say(f"{band:>7} noise: loss of grasps left out {before:.3f} -> {result.after[band]:.3f}")
     if result.curve:
         say(f"gain {result.gain:.4f} +- {result.gain_error:.4f} after {result.steps} steps")
+    facts = {
+        "gripper": loaded.name,
+        "gripper_hash": loaded.hash,
+        "grasps": [
+            {"cloud": one.name, "sha256": one.digest, "world_from_gripper": one.pose7}
+            for one in given
+        ],
+        **result.facts(),
+        "settings": dataclasses.asdict(config),
+    }
+    if report is not None:
+        emit({"model": parent.model_id, "written": result.model is not None, **facts}, report)
     if result.model is None:
         say(
             "the given grasps teach nothing that helps with those left out: no model is written. "
@@ -105,15 +119,8 @@ def finetune(
         info,
         model_id=model_id or f"{info.model_id}-{loaded.name}",
         started_from=info.as_start(),
-        finetuned={
-            "gripper": loaded.name,
-            "gripper_hash": loaded.hash,
-            "grasps": [{"cloud": one.name, "sha256": one.digest,
-                        "world_from_gripper": one.pose7} for one in given],
-            **result.facts(),
-            "settings": dataclasses.asdict(config),
-        },
-    )  # fmt: skip
+        finetuned=facts,
+    )
     save_model(result.model, out)
     words = ["megrasp", "finetune", "--gripper", gripper, "--grasps", str(grasps), "--model",
              info.model_id, "--seed", str(seed)]  # fmt: skip

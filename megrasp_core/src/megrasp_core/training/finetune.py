@@ -47,6 +47,8 @@ _log = logging.getLogger(__name__)
 FEW = 3
 """Below so many grasps nothing can be left out to see what the others teach."""
 
+SURE = 2.0
+"""So many standard errors must be gained."""
 PROCEDURAL_OTHERS = 8
 """Grippers of the procedural family whose codes are held, beside all that are registered."""
 
@@ -59,7 +61,7 @@ States = dict[str, Tensor]
 class FinetuneConfig:
     """How a gripper is learnt."""
 
-    steps: int = 60
+    steps: int = 90
     """Most steps; how many are taken is decided on grasps left out."""
     check_every: int = 15
     """Steps between two looks at the grasps left out."""
@@ -81,7 +83,7 @@ class FinetuneConfig:
     """Weight of the rotation score's loss."""
     keep_weight: float = 10.0
     """Weight of what holds the codes of other grippers, in units of their variance."""
-    head_weight: float = 0.1
+    head_weight: float = 0.01
     """Weight of what holds confidence and graspability of the new gripper, in logits squared."""
     head_poses: int = 16
     """Poses at which the confidence is held, a scene and step."""
@@ -163,7 +165,7 @@ def finetune(
     """Learn a gripper from a few grasps.
 
     How many steps are taken is decided by cross-validation: each grasp is left out once, and what
-    the others teach must lower its loss by more than the standard error of that.
+    the others teach must lower its loss by more than `SURE` standard errors.
 
     Args:
         parent: to begin with; not changed.
@@ -294,8 +296,8 @@ class _Tuning:
         gain = float(gains[chosen].mean())
         error = float(gains[chosen].std(ddof=1) / math.sqrt(len(every))) if parts else math.nan
         model, others = None, 0.0
-        # Less than that is what chance does.
-        if steps is not None or gain > error:
+        # Less than that is what chance does, the more so as the best of several looks is taken.
+        if steps is not None or gain > SURE * error:
             state = self._train(every, [chosen], 0, tell)[chosen]
             others = self._moved(state)
             model = copy.deepcopy(self.parent)
