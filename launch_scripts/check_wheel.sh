@@ -3,7 +3,8 @@
 # checkout, and finds grasps with it. Prints the commands, what they say, the size of what was installed and the
 # CPU-seconds of a start. Needs pip's index; everything is deleted in the end.
 #
-#   bash launch_scripts/check_wheel.sh [--from-folder]     # --from-folder: `pip install ./megrasp_core`, no wheel first
+#   bash launch_scripts/check_wheel.sh [--from-folder] [--out FILE]
+#     --from-folder: `pip install ./megrasp_core`, no wheel first; --out: the figures as JSON too
 #
 # Variables: MEGRASP_PYTHON (Python 3.11 or 3.12), MEGRASP_TORCH_ARGS (as of setup.sh).
 
@@ -13,6 +14,15 @@ root="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)"
 scratch="$(mktemp -d -t megrasp_wheel_XXXXXX)"
 trap 'rm -rf "$scratch"' EXIT
 python="$scratch/venv/bin/python"
+from_folder=false out=
+while [ $# -gt 0 ]; do
+  case "$1" in
+    --from-folder) from_folder=true ;;
+    --out) shift; out="$(realpath -m "${1:?--out needs a file}")" ;;
+    *) echo "check_wheel.sh: $1 was given; expected --from-folder or --out FILE" >&2; exit 2 ;;
+  esac
+  shift
+done
 read -r -a torch_args <<<"${MEGRASP_TORCH_ARGS:-}"
 
 # What is printed does not name the folder, which is another one each time.
@@ -30,7 +40,7 @@ pip install "${torch_args[@]}" -r "$root/launch_scripts/requirements/torch.txt"
 mkdir "$scratch/tree"
 cp -r "$root/megrasp_core" "$root/models" "$root/gripper_descriptions" "$root/LICENSE" "$scratch/tree"
 rm -rf "$scratch/tree/megrasp_core/build"
-if [ "${1:-}" = --from-folder ]; then
+if $from_folder; then
   run pip install "$scratch/tree/megrasp_core"
 else
   run pip wheel --no-deps -w "$scratch/wheels" "$scratch/tree/megrasp_core"
@@ -57,13 +67,18 @@ run "$python" -c "import megrasp_core; print(megrasp_core.__file__)"
 run "$megrasp" gripper list
 run "$megrasp" synthesize cloud.npz --gripper robotiq_2f85 --seed 1 --out grasps.json --picture grasps.png
 ls -l grasps.json grasps.png | awk '{print $5, $9}'
-printf 'site-packages: %s MiB\n' "$(du -sm "$scratch"/venv/lib/python3*/site-packages | cut -f1)"
-"$python" - "$python" "$megrasp" <<'PY'
+size="$(du -sm "$scratch"/venv/lib/python3*/site-packages | cut -f1)"
+printf 'site-packages: %s MiB\n' "$size"
+"$python" - "$python" "$megrasp" "$size" "$out" <<'PY'
+import json
 import resource
 import subprocess
 import sys
+from pathlib import Path
 
-python, megrasp = sys.argv[1:]
+from megrasp_core.machine import processor
+
+python, megrasp, size, out = sys.argv[1:]
 LOAD = "from megrasp_core.synthesizer import GraspSynthesizer as G; G.load(gripper='robotiq_2f85')"
 
 
@@ -78,7 +93,19 @@ def seconds(*command: str) -> float:
     return min(taken)
 
 
-print(f"megrasp --help: {seconds(megrasp, '--help'):.2f} CPU-s")
-print(f"import torch: {seconds(python, '-c', 'import torch'):.2f} CPU-s")
-print(f"model and gripper loaded: {seconds(python, '-c', LOAD):.2f} CPU-s")
+taken = {
+    "megrasp --help": seconds(megrasp, "--help"),
+    "import torch": seconds(python, "-c", "import torch"),
+    "model and gripper loaded": seconds(python, "-c", LOAD),
+}
+for what, cpu in taken.items():
+    print(f"{what}: {cpu:.2f} CPU-s")
+if out:
+    content = {
+        "site_packages_mib": int(size),
+        "cpu_seconds": {what: round(cpu, 3) for what, cpu in taken.items()},
+        "hardware": processor(),
+    }
+    Path(out).parent.mkdir(parents=True, exist_ok=True)
+    Path(out).write_text(json.dumps(content, indent=1) + "\n")
 PY

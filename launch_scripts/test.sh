@@ -69,7 +69,7 @@ else
   # Apart from each other: threads that spin nodes do not get along with tests that send signals.
   run_tests "" tests/core tests/golden "$@"
   tell_pyright
-  run_tests _ros tests/ros "$@"
+  run_tests _ros tests/ros megrasp_ros/test/test_linters.py "$@"
 fi
 
 exit "$status"

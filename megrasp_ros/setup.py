@@ -8,9 +8,11 @@ NAME = "megrasp_ros"
 NODES = {
     "grasp_server": "entry:grasp_server",
     "sim_cell": "entry:sim_cell",
-    "bin_clearing": "clearing.bin_clearing:main",
+    "bin_clearing": "entry:bin_clearing",
     "tool_changer": "entry:tool_changer",
     "cloud_replay": "entry:cloud_replay",
+    "megrasp_call": "entry:megrasp_call",
+    "bench_node": "entry:bench_node",
 }
 
 setup(

@@ -1,30 +1,23 @@
 """The grasp server for a real camera:
 `ros2 launch megrasp_bringup grasp_server.launch.py points:=/camera/camera/depth/color/points`.
 
-An argument that is not given leaves the parameter as the file `params` has it.
+An argument that is not given leaves the parameter as the file `params` has it; one that replaces
+what is there is told.
 """
 
-import yaml
-from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
-from launch.substitutions import EnvironmentVariable, LaunchConfiguration, PathJoinSubstitution
+import os
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, SetEnvironmentVariable
+from launch.conditions import IfCondition
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.substitutions import FindPackageShare
 
-SHARE = FindPackageShare("megrasp_bringup")
+from megrasp_ros.fast_dds import profile
+from megrasp_ros.launching import ARGUMENTS, parameters_given, replaced
 
-OVERRIDES = {
-    "gripper": "gripper at the start",
-    "planning_frame": "frame of all answers",
-    "gravity": "direction of gravity in the planning frame, for instance [0.0, 0.0, 1.0]",
-    "extrinsics": "planning_from_cloud: [x, y, z, qx, qy, qz, qw]",
-    "region.pose": "inside of the bin in the planning frame: [x, y, z, qx, qy, qz, qw]",
-    "region.size": "full edges of it: [x, y, z]",
-    "floor": "height of the surface the objects lie on, or [nx, ny, nz, d]",
-    "use_sim_time": "true: time comes from /clock",
-    "autostart": "false: a lifecycle manager configures and activates the node",
-}
-"""Parameters of the node that are arguments, too."""
+SHARE = get_package_share_directory("megrasp_bringup")
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -36,7 +29,7 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument("namespace", default_value="", description="namespace of the node"),
         DeclareLaunchArgument(
             "params",
-            default_value=PathJoinSubstitution([SHARE, "config", "grasp_server.yaml"]),
+            default_value=os.path.join(SHARE, "config", "grasp_server.yaml"),
             description="parameter file",
         ),
         DeclareLaunchArgument(
@@ -45,46 +38,57 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             "respawn", default_value="true", description="start the node again when it has died"
         ),
+        DeclareLaunchArgument("rviz", default_value="false", description="start RViz"),
+        DeclareLaunchArgument(
+            "fixed_frame", default_value="", description="of RViz; empty: planning_frame"
+        ),
         *(
             DeclareLaunchArgument(
                 name, default_value="", description=f"{text}; empty: as in params"
             )
-            for name, text in OVERRIDES.items()
+            for name, (_, text) in ARGUMENTS.items()
         ),
     ]
-    profile = SetEnvironmentVariable(
+    fast_dds = SetEnvironmentVariable(
         "FASTRTPS_DEFAULT_PROFILES_FILE",
         EnvironmentVariable(
             "FASTRTPS_DEFAULT_PROFILES_FILE",
-            default_value=PathJoinSubstitution([SHARE, "config", "fastdds_small_buffers.xml"]),
+            default_value=os.path.join(SHARE, "config", profile()),
         ),
     )
-    return LaunchDescription([*arguments, profile, OpaqueFunction(function=server)])
+    return LaunchDescription([*arguments, fast_dds, OpaqueFunction(function=nodes)])
 
 
-def server(context: LaunchContext) -> list[Node]:
-    """Return the node; only what was given goes over the file."""
+def nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
+    """Return the node and RViz; only what was given goes over the file."""
 
     def given(name: str) -> str:
         return LaunchConfiguration(name).perform(context)
 
-    values = {name: yaml.safe_load(given(name)) for name in OVERRIDES if given(name)}
-    if isinstance(values.get("floor"), (int, float)):
-        values["floor"] = [float(values["floor"])]
-    for name, value in values.items():
-        if isinstance(value, list):
-            values[name] = [float(number) for number in value]
-    return [
-        Node(
-            package="megrasp_ros",
-            executable="grasp_server",
-            name="grasp_server",
-            namespace=given("namespace"),
-            output="screen",
-            parameters=[given("params"), *([values] if values else [])],
-            remappings=[("points", given("points"))],
-            respawn=given("respawn").lower() == "true",
-            respawn_delay=2.0,
-            arguments=["--ros-args", "--log-level", given("log_level")],
-        )
-    ]
+    values = parameters_given({name: given(name) for name in ARGUMENTS})
+    told = [LogInfo(msg=line) for line in replaced(values, given("params"))]
+    server = Node(
+        package="megrasp_ros",
+        executable="grasp_server",
+        name="grasp_server",
+        namespace=given("namespace"),
+        output="screen",
+        parameters=[given("params"), *([values] if values else [])],
+        remappings=[("points", given("points"))],
+        respawn=given("respawn").lower() == "true",
+        respawn_delay=2.0,
+        arguments=["--ros-args", "--log-level", given("log_level")],
+    )
+    frame = given("fixed_frame") or given("planning_frame")
+    view = Node(
+        package="rviz2",
+        executable="rviz2",
+        namespace=given("namespace"),
+        arguments=[
+            "-d",
+            os.path.join(SHARE, "rviz", "megrasp.rviz"),
+            *(["-f", frame] if frame else []),
+        ],
+        condition=IfCondition(LaunchConfiguration("rviz")),
+    )
+    return [*told, server, view]

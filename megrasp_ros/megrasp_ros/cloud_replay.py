@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
@@ -17,8 +19,9 @@ from .sensor_messages import cloud_message
 class CloudReplay(Node):
     """Publishes `points` from a .ply, .pcd, .npz or .npy file, each time with a new stamp."""
 
-    def __init__(self) -> None:
-        super().__init__("cloud_replay")
+    def __init__(self, name: str = "cloud_replay", **options: Any) -> None:
+        """Make the node; `options` are those of rclpy's Node: namespace, context and so on."""
+        super().__init__(name, **options)
         path = declare_once(self, "file", "", "cloud file (.ply .pcd .npz .npy), metres")
         self._frame = declare_once(self, "frame_id", "world", "frame of the file's points")
         rate = declare_once(self, "rate", 2.0, "clouds per second (Hz)", low=0.01, high=100.0)

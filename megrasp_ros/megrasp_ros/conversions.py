@@ -9,6 +9,7 @@ further ROS package.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
@@ -17,8 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
 from megrasp_core.errors import CloudError, InvalidRequestError
-from megrasp_core.lie import matrix_from_pose7, pose7_from_matrix
-from megrasp_core.pointcloud import Cloud, OrientedBox, without_zeros
+
+if TYPE_CHECKING:
+    from megrasp_core.pointcloud import Cloud, OrientedBox
 
 FloatArray = NDArray[np.float64]
 
@@ -32,20 +34,32 @@ _TYPES = {
     PointField.FLOAT32: "f4",
     PointField.FLOAT64: "f8",
 }
+_WHOLE = tuple(number for number, name in _TYPES.items() if not name.startswith("f"))
 
+LABEL = "label"
+"""The field of a cloud that tells objects apart, as PCL names it."""
 
 FARTHEST = 1e6
-"""A coordinate beyond this (m) is no reading but a fault of the sensor."""
+"""A coordinate beyond this (m) is no reading but a fault of the sensor; a pose is no pose."""
 
 
 def points_from_cloud(message: PointCloud2) -> FloatArray:
-    """Return the finite points (N, 3) of a cloud, in its own frame (m), in the order of the
-    message; those that are exactly 0 0 0 or beyond `FARTHEST` are no readings and left out.
+    """Return the points (N, 3) of `cloud_from_message`. Raises CloudError."""
+    return cloud_from_message(message).points
+
+
+def cloud_from_message(message: PointCloud2) -> Cloud:
+    """Return the finite points of a cloud, in its own frame (m), in the order of the message;
+    those that are exactly 0 0 0 or beyond `FARTHEST` are no readings and left out.
+
+    A field `label` of whole numbers becomes the labels of the points: which object one belongs to.
 
     Raises CloudError when the cloud is empty, has no numeric fields x, y and z, its data is
     shorter than its layout says, or no point is a reading.
     """
     count = message.width * message.height
+    from megrasp_core.pointcloud import Cloud, without_zeros
+
     if count == 0:
         raise CloudError(
             f"the cloud is empty (width {message.width}, height {message.height}); expected at "
@@ -53,22 +67,32 @@ def points_from_cloud(message: PointCloud2) -> FloatArray:
         )
     # The data first: numbers that fit it are no larger than memory.
     data = _checked_data(message)
+    kind = _point_dtype(message)
     records = np.ndarray(
         (message.height, message.width),
-        dtype=_point_dtype(message),
+        dtype=kind,
         buffer=data,
         strides=(message.row_step if message.height > 1 else 0, message.point_step),
     )
     points = np.stack([records[axis].astype(np.float64) for axis in "xyz"], axis=-1).reshape(-1, 3)
     with np.errstate(invalid="ignore"):
         points[(np.abs(points) > FARTHEST).any(axis=1)] = np.nan
-    seen = without_zeros(Cloud(points).finite())
+    labels = whole_labels(records[LABEL]).ravel() if LABEL in (kind.names or ()) else None
+    seen = without_zeros(Cloud(points, labels=labels).finite())
     if not len(seen):
         raise CloudError(
             f"none of the {count} points of the cloud is a reading: all are NaN, infinite or 0 0 "
             "0; expected metres. Check that the camera sees the scene within its range."
         )
-    return seen.points
+    return seen
+
+
+def whole_labels(labels: NDArray) -> NDArray[np.int32]:
+    """Return the numbers of objects; those that are none (0, negative, or the highest of 32 bits,
+    as some take for none) become 0.
+    """
+    wide = labels.astype(np.int64)
+    return np.where((wide > 0) & (wide <= np.iinfo(np.int32).max), wide, 0).astype(np.int32)
 
 
 def _point_dtype(message: PointCloud2) -> np.dtype:
@@ -87,8 +111,17 @@ def _point_dtype(message: PointCloud2) -> np.dtype:
             "expected x, y and z in metres. Remap `points` to a topic with a point cloud."
         )
     order = ">" if message.is_bigendian else "<"
-    formats = []
-    for axis in "xyz":
+    formats: list[str] = []
+    label = fields.get(LABEL)
+    # Others may mean something else by it: floats, several numbers a point.
+    labelled = (
+        label is not None
+        and label.datatype in _WHOLE
+        and label.count <= 1
+        and names.count(LABEL) == 1
+    )
+    used = [*"xyz", *([LABEL] if labelled else [])]
+    for axis in used:
         field = fields[axis]
         if field.datatype not in _TYPES:
             raise CloudError(
@@ -105,9 +138,9 @@ def _point_dtype(message: PointCloud2) -> np.dtype:
             )
     return np.dtype(
         {
-            "names": list("xyz"),
+            "names": used,
             "formats": formats,
-            "offsets": [fields[axis].offset for axis in "xyz"],
+            "offsets": [fields[axis].offset for axis in used],
         }
     )
 
@@ -139,6 +172,8 @@ def _checked_data(message: PointCloud2) -> memoryview:
 
 def pose_from_matrix(matrix: ArrayLike) -> Pose:
     """Return the Pose of a rigid (4, 4) matrix."""
+    from megrasp_core.lie import pose7_from_matrix
+
     x, y, z, qx, qy, qz, qw = (
         float(v) for v in pose7_from_matrix(np.asarray(matrix, dtype=np.float64))
     )
@@ -151,31 +186,44 @@ def numbers_from_pose(pose: Pose) -> FloatArray:
     return np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
 
 
-def matrix_from_numbers(numbers: ArrayLike, what: str) -> FloatArray:
-    """Return the rigid (4, 4) matrix of 7 numbers x, y, z, qx, qy, qz, qw; the quaternion is
-    normalised.
+def checked_pose(numbers: ArrayLike, what: str) -> FloatArray:
+    """Return the 7 numbers x, y, z, qx, qy, qz, qw of a pose, the quaternion normalised.
 
     Raises InvalidRequestError, which names `what`, when a number is not finite or the quaternion
     is far from unit length (10 %).
     """
-    pose = np.asarray(numbers, dtype=np.float64)
+    pose = np.array(numbers, dtype=np.float64)
     length = float(np.linalg.norm(pose[3:])) if pose.shape == (7,) else float("nan")
-    if pose.shape != (7,) or not np.isfinite(pose).all() or abs(length - 1) > 0.1:
+    if (
+        pose.shape != (7,)
+        or not (np.abs(pose) <= FARTHEST).all()
+        or not np.isfinite(length)
+        or abs(length - 1) > 0.1
+    ):
         raise InvalidRequestError(
             f"{what} is {pose.tolist()}; expected finite x, y, z (m) and a unit quaternion qx, "
             "qy, qz, qw. The identity is 0, 0, 0, 0, 0, 0, 1."
         )
     pose[3:] /= length
-    return matrix_from_pose7(pose)
+    return pose
+
+
+def matrix_from_numbers(numbers: ArrayLike, what: str) -> FloatArray:
+    """Return the rigid (4, 4) matrix of 7 numbers; errors as those of `checked_pose`."""
+    from megrasp_core.lie import matrix_from_pose7
+
+    return matrix_from_pose7(checked_pose(numbers, what))
 
 
 def matrices_from_poses(
     poses: Sequence[Pose], what: str, check: Callable[[], None] | None = None
 ) -> FloatArray:
-    """Return the rigid matrices (N, 4, 4) of poses; errors as those of `matrix_from_numbers`.
+    """Return the rigid matrices (N, 4, 4) of poses; errors as those of `checked_pose`.
 
     check: called again and again; may raise. Reading 100 000 poses takes a second.
     """
+    from megrasp_core.lie import matrix_from_pose7
+
     rows = np.empty((len(poses), 7))
     for i, pose in enumerate(poses):
         if check is not None and i % 1000 == 0:
@@ -187,12 +235,12 @@ def matrices_from_poses(
         wrong = ~np.isfinite(rows).all(axis=1) | ~(np.abs(length - 1) <= 0.1)
     if wrong.any():
         first = int(np.argmax(wrong))
-        matrix_from_numbers(rows[first], f"{what}[{first}]")
+        checked_pose(rows[first], f"{what}[{first}]")
     return matrix_from_pose7(rows)
 
 
 def matrix_from_pose(pose: Pose, what: str) -> FloatArray:
-    """Return the rigid (4, 4) matrix of a Pose; see `matrix_from_numbers` for the errors."""
+    """Return the rigid (4, 4) matrix of a Pose; see `checked_pose` for the errors."""
     return matrix_from_numbers(numbers_from_pose(pose), what)
 
 
@@ -201,6 +249,8 @@ def box_from_message(message: OrientedBoxMessage, what: str = "region.pose") -> 
 
     Raises InvalidRequestError when the size or the pose is not usable.
     """
+    from megrasp_core.pointcloud import OrientedBox
+
     size = np.array([message.size.x, message.size.y, message.size.z])
     if not size.any():
         return None

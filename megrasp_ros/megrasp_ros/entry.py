@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 
-from .process import StopSignals
+from .process import INTERRUPTED, StopSignals
 
 
 def _run(module: str) -> None:
@@ -22,6 +23,11 @@ def sim_cell() -> None:
     _run("cell.sim_cell")
 
 
+def bin_clearing() -> None:
+    """Run the executable `bin_clearing`."""
+    _run("clearing.bin_clearing")
+
+
 def tool_changer() -> None:
     """Run the executable `tool_changer`."""
     _run("tool_changer")
@@ -30,3 +36,17 @@ def tool_changer() -> None:
 def cloud_replay() -> None:
     """Run the executable `cloud_replay`."""
     _run("cloud_replay")
+
+
+def bench_node() -> None:
+    """Run the executable `bench_node`."""
+    _run("trials.bench_node")
+
+
+def megrasp_call() -> None:
+    """Run the executable `megrasp_call`, in which Ctrl-C ends one call."""
+    try:
+        main = import_module("megrasp_ros.call.app").main
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+    main()

@@ -8,6 +8,7 @@ from typing import ClassVar
 from megrasp_msgs.msg import ErrorCode
 
 from megrasp_core.errors import MegraspError
+from megrasp_core.machine import is_out_of_memory
 
 
 class BusyError(MegraspError):
@@ -81,6 +82,19 @@ class UnknownNameError(MegraspError):
         )
 
 
+class ShortMemoryError(MegraspError):
+    """Memory is not enough, however little is computed at a time."""
+
+    code: ClassVar[int] = ErrorCode.OUT_OF_MEMORY
+
+    def __init__(self, why: str, at_once: int) -> None:
+        """Take the words of the last failure and how many poses were computed at a time."""
+        super().__init__(
+            f"out of memory ({why}), also with {at_once} poses at a time; expected the request to "
+            "fit. Lower `drawn` or num_grasps, give a smaller region, or make room on the device."
+        )
+
+
 class BinEmptyError(MegraspError):
     """Only the support surface and the walls are left in the region."""
 
@@ -110,8 +124,7 @@ def _describe(error: BaseException) -> tuple[int, str]:
         return error.reason_code, str(error)
     if isinstance(error, MegraspError):
         return int(error.code), str(error)
-    # torch.OutOfMemoryError is a RuntimeError; by name, so that this module does not import torch
-    if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
+    if is_out_of_memory(error):
         return ErrorCode.OUT_OF_MEMORY, (
             f"out of memory ({str(error) or type(error).__name__}); expected the request to fit. "
             "Lower `drawn` or num_grasps, or give a smaller region."

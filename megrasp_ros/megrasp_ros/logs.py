@@ -8,6 +8,8 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 
 
 class _NodeHandler(logging.Handler):
+    """Passes records on."""
+
     def __init__(self, logger: RcutilsLogger) -> None:
         super().__init__()
         self._logger = logger

@@ -15,9 +15,13 @@ from collections.abc import Callable
 from types import FrameType
 from typing import NoReturn, Protocol
 
+from .fast_dds import remove_stale_segments
+
 INTERRUPTED = 130
-PATIENCE = 5.0
-"""A signal so long (s) after the first one ends the process at once."""
+PATIENCE = 4.0
+"""A signal so long (s) after the first one ends the process at once; ros2 launch sends its second
+one after five.
+"""
 
 
 class StopSignals:
@@ -65,10 +69,9 @@ def run_node(
     """
     signals = signals or StopSignals()
     import rclpy
-    from rclpy.signals import SignalHandlerOptions
 
     signals.orderly = True
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    _start_rclpy()
     nodes: list[Runnable] = []
     code = _serve(make, nodes, threads, signals)
     # Here, where nothing holds the executor any more.
@@ -76,6 +79,63 @@ def run_node(
     while nodes:
         nodes.pop().destroy_node()
     rclpy.try_shutdown()
+    leave(code)
+
+
+def run_program(run: Callable[[], int], *, signals: StopSignals | None = None) -> NoReturn:
+    """Call a program that makes calls and ends by itself, with rclpy up, and exit with what it
+    returns.
+
+    SIGINT and SIGTERM shut rclpy down, which ends every wait; the program then returns or raises
+    whatever it likes, and the process exits with 130. A MegraspError or a parameter out of range
+    is exit code 2 and one line that says why.
+    """
+    signals = signals or StopSignals()
+    import rclpy
+    from rclpy.exceptions import ParameterException
+    from rclpy.logging import get_logger
+
+    from megrasp_core.errors import MegraspError
+
+    signals.orderly = True
+    _start_rclpy()
+
+    def shut_down() -> None:
+        signals.event.wait()
+        rclpy.try_shutdown()
+
+    threading.Thread(target=shut_down, name="signals", daemon=True).start()
+    try:
+        code = run()
+    except (MegraspError, ParameterException) as error:
+        get_logger("megrasp_ros").fatal(str(error))
+        code = 2
+    except BaseException:
+        if not signals.event.is_set():
+            raise
+        code = INTERRUPTED
+    rclpy.try_shutdown()
+    leave(INTERRUPTED if signals.event.is_set() else code)
+
+
+def _start_rclpy() -> None:
+    """Start rclpy, or leave with 2 and one line when the command line cannot be read."""
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
+    remove_stale_segments()
+    try:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:
+        sys.stderr.write(
+            f"{str(error).splitlines()[0]}\nExpected arguments such as --ros-args -p name:=value; "
+            "the numbers of a list all with a decimal point, [0.0, 0.0, 1.0].\n"
+        )
+        leave(2)
+
+
+def leave(code: int) -> NoReturn:
+    """End the process at once."""
     # Fast DDS keeps its shared memory until the last object that knows the node is gone.
     gc.collect()
     # Freeing torch's modules takes seconds more on a busy machine, and ros2 launch loses patience

@@ -7,13 +7,16 @@ much, a numpy array several hundred times).
 from __future__ import annotations
 
 from array import array
+from typing import TYPE_CHECKING
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
-from megrasp_core.simulation import Camera
+if TYPE_CHECKING:
+    from megrasp_core.simulation import Camera
+
 
 BYTES_PER_POINT = 12
 

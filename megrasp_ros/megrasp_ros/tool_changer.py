@@ -12,6 +12,8 @@ compares with its active gripper (error 203).
 
 from __future__ import annotations
 
+from typing import Any
+
 from megrasp_msgs.srv import ChangeTool
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -31,8 +33,9 @@ BACKENDS = ("none", "service")
 class ToolChanger(Node):
     """Serves `change_tool`, publishes `tool_id`."""
 
-    def __init__(self) -> None:
-        super().__init__("tool_changer")
+    def __init__(self, name: str = "tool_changer", **options: Any) -> None:
+        """Make the node; `options` are those of rclpy's Node: namespace, context and so on."""
+        super().__init__(name, **options)
         backend = self.declare_parameter(
             "backend",
             "none",

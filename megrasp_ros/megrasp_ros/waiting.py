@@ -47,13 +47,19 @@ def wait_for_future(
     return future.result()
 
 
-def send_in_executor(node: Node, send: Callable[[], Future], timeout: float) -> Any | None:
+def send_in_executor(
+    node: Node,
+    send: Callable[[], Future],
+    timeout: float,
+    *,
+    check: Callable[[], None] | None = None,
+) -> Any | None:
     """What the future that `send` returns brings, `send` being called by the node's executor.
 
     For action clients: rclpy's `send_goal_async` notes the request only after it is sent, without
     a lock, so that a fast answer is thrown away when another thread spins ("Ignoring unexpected
     goal response"). Called by a single-threaded executor, sending and answering cannot overlap.
-    None and exceptions: see `wait_for_future`.
+    None, check and exceptions: see `wait_for_future`.
     """
     executor = node.executor
     if executor is None:
@@ -62,7 +68,9 @@ def send_in_executor(node: Node, send: Callable[[], Future], timeout: float) -> 
     sent = wait_for_future(executor.create_task(send), timeout, context=node.context)
     if sent is None:
         return None
-    return wait_for_future(sent, max(0.0, end - time.monotonic()), context=node.context)
+    return wait_for_future(
+        sent, max(0.0, end - time.monotonic()), context=node.context, check=check
+    )
 
 
 async def wake_when(call_at_end: Callable[[Callable[[], None]], None], node: Node) -> None:

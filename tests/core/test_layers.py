@@ -19,11 +19,19 @@ import megrasp_core
 
 SOURCE = Path(megrasp_core.__file__).parent
 LAYERS = (
-    {"lie", "meshes", "jobs", "errors", "machine"},
+    {"lie", "meshes", "jobs", "errors", "limits", "machine"},
     {"grippers", "objects", "pointcloud"},
     {"ranking", "diffusion", "network", "storage", "simulation"},
     {"cell", "drawing", "synthesizer", "scenes", "library"},
-    {"evaluation", "training", "self_labelling", "gripper_tools", "benchmarks", "service"},
+    {
+        "evaluation",
+        "training",
+        "self_labelling",
+        "gripper_tools",
+        "benchmarks",
+        "service",
+        "explanation",
+    },
     {"viewer"},
     {"cli"},
     {"__main__"},

@@ -31,6 +31,9 @@ def server(running: tuple) -> Iterator[Client]:
         pose_reference="gripper",
         auto_synthesize="off",
         points_subscription="on_demand",
+        input="points",
+        sync_tolerance=0.0,
+        swap_cost=0.0,
         tool_changer="",
     )
     before = set(client.node.subscriptions)

@@ -55,7 +55,7 @@ class Faulty(GraspServer):
         return call
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Any, **options: Any) -> Any:
-        if srv_name in ("synthesize_grasps", "set_gripper", "reload_grippers", "list_grippers"):
+        if srv_name in (*REFUSED, "list_grippers"):
 
             async def call(request: Any, response: Any) -> Any:
                 self.fail(srv_name)
@@ -142,17 +142,18 @@ def failing(pair: Pair) -> Iterator[set[str]]:
     assert pair.synthesize().success
 
 
-REFUSED = {
-    "synthesize_grasps": SynthesizeGrasps,
-    "set_gripper": None,
-    "reload_grippers": None,
-}
+REFUSED = ("synthesize_grasps", "set_gripper", "reload_grippers", "detect_bin")
 
 
 def kinds() -> dict[str, Any]:
-    from megrasp_msgs.srv import ReloadGrippers, SetGripper
+    from megrasp_msgs.srv import DetectBin, ReloadGrippers, SetGripper
 
-    return {**REFUSED, "set_gripper": SetGripper, "reload_grippers": ReloadGrippers}
+    return {
+        "synthesize_grasps": SynthesizeGrasps,
+        "set_gripper": SetGripper,
+        "reload_grippers": ReloadGrippers,
+        "detect_bin": DetectBin,
+    }
 
 
 @pytest.mark.parametrize("name", REFUSED)
@@ -303,7 +304,7 @@ def test_two_servers_share_a_process(pair: Pair) -> None:
 def test_every_callback_is_among_those_above(pair: Pair) -> None:
     """What is added to the node has to be added here."""
     covered = {
-        "synthesize_grasps", "set_gripper", "reload_grippers", "list_grippers",
+        "synthesize_grasps", "set_gripper", "reload_grippers", "list_grippers", "detect_bin",
         "subscription of tool_id", "subscription of points", "timer _each_second",
         "timer _autostart",
     }  # fmt: skip

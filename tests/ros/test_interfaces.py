@@ -144,6 +144,7 @@ EXPECTED = {
         "error_msg": "string",
         "removed": "sequence<string>",
         "objects_left": "uint32",
+        "width": "double",
     },
     actions.ExecuteGrasp.Feedback: {"phase": "string"},
 }

@@ -2,7 +2,7 @@
 
 It answers `synthesize_grasps` and `set_gripper` by the rules of the interface. `--fail-first N`
 lets the first N answers per gripper point into the air; `--error CODE` answers every synthesis
-with that error.
+with that error; `--width W` says how wide the boxes are (m).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 import rclpy
 from geometry_msgs.msg import Pose
 from megrasp_msgs.msg import ErrorCode, Grasp, GraspArray
-from megrasp_msgs.srv import SetGripper, SynthesizeGrasps
+from megrasp_msgs.srv import ListGrippers, SetGripper, SynthesizeGrasps
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
@@ -26,19 +26,25 @@ from sensor_msgs.msg import PointCloud2
 from megrasp_core.grippers import load_gripper
 from megrasp_ros.conversions import matrix_from_pose, points_from_cloud, pose_from_matrix
 from megrasp_ros.qos import SENSOR
+from megrasp_ros.server.grasp_messages import gripper_info
+from megrasp_ros.server.parameter_table import TABLE
 
 APPROACH = 0.10
+TOLERANCE = 0.008
 
 
 class AnalyticGraspServer(Node):
-    def __init__(self, fail_first: int, error: int) -> None:
+    def __init__(self, fail_first: int, error: int, width: float) -> None:
         super().__init__("grasp_server")
-        self._fail_first, self._error = fail_first, error
+        self._fail_first, self._error, self._width = fail_first, error, width
         self._gripper = None
         self._answers: dict[str, int] = {}
         self._cloud: PointCloud2 | None = None
         self._arrived = threading.Condition()
+        for parameter, spec in TABLE.items():
+            self.declare_parameter(parameter, spec.default)
         group = ReentrantCallbackGroup()
+        self.create_service(ListGrippers, "list_grippers", self._list, callback_group=group)
         self.create_subscription(PointCloud2, "points", self._keep, SENSOR, callback_group=group)
         self.create_service(SetGripper, "set_gripper", self._set, callback_group=group)
         self.create_service(
@@ -51,9 +57,16 @@ class AnalyticGraspServer(Node):
             self._arrived.notify_all()
 
     def _set(self, request, response):
-        self._gripper = load_gripper(request.gripper_name)
         response.success = True
+        if request.dry_run:
+            return response
+        self._gripper = load_gripper(request.gripper_name)
         self.get_logger().info(f"set_gripper {request.gripper_name}")
+        return response
+
+    def _list(self, request, response):
+        assert self._gripper is not None
+        response.grippers = [gripper_info(self._gripper, seen_in_training=False)]
         return response
 
     def _synthesize(self, request, response):
@@ -62,7 +75,8 @@ class AnalyticGraspServer(Node):
             return response
         assert self._gripper is not None, "bin_clearing must call set_gripper first"
         name = self._gripper.name
-        cloud = self._newer_than(request.not_before)
+        given = request.cloud.width > 0
+        cloud = request.cloud if given else self._newer_than(request.not_before)
         response.grasps = GraspArray(header=cloud.header, gripper=name, model_id="analytic")
         count = self._answers[name] = self._answers.get(name, 0) + 1
         excluded = [matrix_from_pose(pose, "exclude")[:3, 3] for pose in request.exclude]
@@ -103,7 +117,9 @@ class AnalyticGraspServer(Node):
             pregrasp=pose_from_matrix(pose),
             tcp=pose_from_matrix(tcp),
             approach=_lifted(pose),
-            width=math.nan,
+            retreat=_lifted(pose),
+            width=self._width,
+            width_tolerance=TOLERANCE,
             score=0.5,
             collision_free=True,
         )
@@ -155,10 +171,11 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--fail-first", type=int, default=0)
     parser.add_argument("--error", type=int, default=0)
+    parser.add_argument("--width", type=float, default=math.nan)
     arguments = parser.parse_args(rclpy.utilities.remove_ros_args(sys.argv)[1:])
     rclpy.init()
     executor = MultiThreadedExecutor(num_threads=4)
-    executor.add_node(AnalyticGraspServer(arguments.fail_first, arguments.error))
+    executor.add_node(AnalyticGraspServer(arguments.fail_first, arguments.error, arguments.width))
     try:
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):

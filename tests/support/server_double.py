@@ -1,8 +1,9 @@
 """The real node grasp_server with a test double in place of the synthesizer.
 
 The parameter `model` says how the double behaves: `quick` and `slow` return grasps above the
-cloud's centre, `none` finds nothing, `memory` runs out of memory, `broken` fails, `damaged` cannot
-be loaded.
+cloud's centre, `none` finds nothing, `memory` runs out of memory, `short` does unless few poses
+are computed at a time, `preferring` scores robotiq_3f higher, `broken` fails, `damaged` cannot be
+loaded, `late` takes its time to be.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from megrasp_ros.server.grasp_server import main
 
 STEPS = 20
 SLOW_STEP = 0.25
+FEW = 16
+LATE = 8.0
 
 
 class DoubleSynthesizer:
@@ -50,15 +53,23 @@ class DoubleSynthesizer:
             on_step("sample", step + 1, STEPS)
             on_poses(pose_set(np.eye(4)[None], self.gripper, SynthesisRequest()))
         on_step("rank", 1, 1)
-        if self.behaviour == "memory":
-            raise MemoryError("no room for 3 poses")
+        at_once = options.get("at_once")
+        if self.behaviour == "memory" or (
+            self.behaviour == "short" and (at_once is None or at_once > FEW)
+        ):
+            raise MemoryError(f"no room for {at_once or 'all'} poses")
         if self.behaviour == "broken":
             raise KeyError("a bug")
         rng = np.random.default_rng(seed)
         # Above the centre of what stands out, so that it is known where the grasps have to be.
         down = np.asarray(options["gravity"])
-        height = -cloud.points @ down
-        centre = cloud.points[height > height.max() - 0.02].mean(axis=0)
+        target = options["target"]
+        points = cloud.points if target is None else cloud.points[cloud.labels == target]
+        height = -points @ down
+        centre = points[height > height.max() - 0.02].mean(axis=0)
+        nearest = np.linalg.norm(cloud.points - centre, axis=1).argmin()
+        label = 0 if cloud.labels is None else int(cloud.labels[nearest])
+        best = 0.95 if self.behaviour == "preferring" and "3f" in self.gripper.name else 0.9
         grasps = []
         for rank in range(0 if self.behaviour == "none" else num_grasps):
             tcp = np.eye(4)
@@ -73,13 +84,14 @@ class DoubleSynthesizer:
                     world_from_gripper=gripper,
                     world_from_gripper_approach=approach,
                     world_from_gripper_retreat=approach,
-                    score=0.9 - 0.01 * rank,
+                    score=best - 0.01 * rank,
                     width=0.03,
                     clearance=0.01,
                     tilt=0.0,
                     collision_free=True,
                     width_tolerance=0.004,
                     opening=0.06,
+                    object=label or None,
                 )
             )
         return Synthesis(
@@ -109,6 +121,8 @@ def _about_z(angle: float) -> np.ndarray:
 
 
 def make(model: str | None, device: str, threads: int | None) -> DoubleSynthesizer:
+    if model == "late":
+        time.sleep(LATE)
     if model == "damaged":
         raise ModelError(
             "model.safetensors of 'damaged' does not fit; expected a model folder. Set `model`."

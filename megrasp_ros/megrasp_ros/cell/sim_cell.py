@@ -11,9 +11,12 @@ Frames: `cell` is the world of the simulation, z up, origin on the bin's floor i
 
 from __future__ import annotations
 
+import concurrent.futures
+import math
 import traceback
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time as TimeMessage
@@ -27,7 +30,7 @@ from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2
 from std_msgs.msg import String
 
 from megrasp_core.cell.robot_cell import CellView, ExecutionResult, RobotCell
@@ -36,11 +39,13 @@ from megrasp_core.objects import load_objects
 from megrasp_ros.conversions import matrix_from_pose
 from megrasp_ros.errors import (
     BusyError,
+    NotActiveError,
     StaleCloudError,
     ToolMismatchError,
     TransformError,
     describe,
     is_expected,
+    shortened,
 )
 from megrasp_ros.process import StopSignals, run_node
 from megrasp_ros.qos import LATCHED, SENSOR
@@ -61,8 +66,9 @@ FUTURE_TOLERANCE = 1.0
 class SimCell(Node):
     """The cell as a node. The services exist once the objects have settled, so wait for them."""
 
-    def __init__(self) -> None:
-        super().__init__("sim_cell")
+    def __init__(self, name: str = "sim_cell", **options: Any) -> None:
+        """Make the node; `options` are those of rclpy's Node: namespace, context and so on."""
+        super().__init__(name, **options)
         self._settings = declare_cell_parameters(self)
         self._cell = make_cell(self._settings)
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="cell")
@@ -175,7 +181,7 @@ class SimCell(Node):
 
     def _execute(self, handle: ServerGoalHandle) -> ExecuteGrasp.Result:
         goal: ExecuteGrasp.Goal = handle.request
-        result = ExecuteGrasp.Result(objects_left=self._cell.objects_left)
+        result = ExecuteGrasp.Result(objects_left=self._cell.objects_left, width=math.nan)
         try:
             outcome = self._attempt(goal, handle)
         except CancelledError as error:
@@ -192,6 +198,7 @@ class SimCell(Node):
             if outcome.spilled:
                 result.error_msg += f" (fell out of the bin: {', '.join(outcome.spilled)})"
             result.objects_left = outcome.objects_left
+            result.width = outcome.width
             handle.succeed()
             self.get_logger().info(_report(outcome))
             return result
@@ -217,9 +224,7 @@ class SimCell(Node):
         world_from_frame = self._world_from(goal.header.frame_id)
         pose = world_from_frame @ matrix_from_pose(goal.grasp.pregrasp, "grasp.pregrasp")
         approach = world_from_frame @ matrix_from_pose(goal.grasp.approach, "grasp.approach")
-        posture = goal.grasp.pregrasp_posture
-        joints = dict(zip(posture.name, posture.position, strict=False))
-        opening = self._cell.gripper.share_of(joints) if joints else 0.0
+        opening = self._opening(goal.grasp.pregrasp_posture)
 
         def begin(phase: str) -> None:
             if handle.is_cancel_requested:
@@ -229,6 +234,20 @@ class SimCell(Node):
         outcome = self._cell.execute(pose, approach, opening, on_phase=begin)
         self._scene_changed = self.get_clock().now()
         return outcome
+
+    def _opening(self, posture: JointState) -> float:
+        """Share of the stroke at which the fingers start; fully open without a posture."""
+        if not posture.name and not posture.position:
+            return 0.0
+        moving = self._cell.gripper.open_joints
+        known = len(posture.name) == len(posture.position) and set(posture.name) <= set(moving)
+        if not known or not np.isfinite(posture.position).all():
+            raise InvalidRequestError(
+                f"grasp.pregrasp_posture has the joints {shortened(str(posture.name), 200)} at "
+                f"{shortened(str(list(posture.position)), 200)}; expected a finite position for "
+                f"each of some joints of {self._cell.gripper.name}, {', '.join(moving)}, or none"
+            )
+        return self._cell.gripper.share_of(dict(zip(posture.name, posture.position, strict=True)))
 
     def _check_goal(self, goal: ExecuteGrasp.Goal) -> None:
         mounted = self._cell.gripper.name
@@ -257,6 +276,8 @@ class SimCell(Node):
 
     def _explain(self, error: Exception) -> tuple[int, str]:
         """Error code and text; what nobody expected leaves its traceback in the log."""
+        if isinstance(error, concurrent.futures.CancelledError):
+            error = NotActiveError("the cell is shutting down; start it again")
         if not is_expected(error):
             self.get_logger().error("".join(traceback.format_exception(error)))
         return describe(error)
@@ -296,7 +317,8 @@ def make_cell(parameters: CellParameters) -> RobotCell:
 def _report(outcome: ExecutionResult) -> str:
     what = ", ".join(outcome.removed) or "nothing"
     how = "success" if outcome.success else f"failure ({outcome.error})"
-    return f"{how}: removed {what}; {outcome.objects_left} objects left"
+    fingers = "" if math.isnan(outcome.width) else f", fingers at {1000 * outcome.width:.1f} mm"
+    return f"{how}: removed {what}{fingers}; {outcome.objects_left} objects left"
 
 
 def main(signals: StopSignals | None = None) -> None:

@@ -6,35 +6,32 @@ Before every pick it leaves a picture of the cloud and the ranked grasps, at the
 sheet and summary.json.
 
 Exit code: 0 the run was completed, even if objects are left (the summary tells), 1 a part of the
-system failed, 2 wrong parameters.
+system failed, 2 wrong parameters, 130 a signal.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
-import sys
 import threading
 import time
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from builtin_interfaces.msg import Time as TimeMessage
 from megrasp_msgs.msg import ErrorCode
 from megrasp_msgs.srv import SynthesizeGrasps
-from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
 
 from megrasp_core.cell.clearing import ClearingPlan, PickRecord
-from megrasp_core.errors import MegraspError
-from megrasp_ros.client import GraspServerError
+from megrasp_core.storage import AttemptFolder
+from megrasp_ros.client import GraspClient, GraspServerError
 from megrasp_ros.conversions import box_from_message, matrix_from_pose, pose_from_matrix
+from megrasp_ros.process import StopSignals, run_program
 from megrasp_ros.spinning import spin
 
-from .client import ClearingClient, SystemFailure
 from .parameters import ClearingParameters, declare_clearing_parameters
 from .pictures import ClearingPictures
 
@@ -44,6 +41,11 @@ TRANSIENT = (ErrorCode.BUSY, ErrorCode.NO_CLOUD, ErrorCode.STALE_CLOUD, ErrorCod
 TRANSIENT_WAIT = 60.0
 RETRY_PERIOD = 0.5
 STALE_IN_A_ROW = 3
+PICTURE_WAIT = 5.0
+
+
+class SystemFailure(Exception):
+    """A part of the system is missing, silent, or refuses what it must be able to do."""
 
 
 class BinClearing:
@@ -52,7 +54,10 @@ class BinClearing:
     def __init__(self, node: Node, parameters: ClearingParameters) -> None:
         self._node = node
         self._parameters = parameters
-        self._client = ClearingClient(node, timeout=parameters.call_timeout)
+        record = None
+        if parameters.record:
+            record = AttemptFolder(parameters.record, limit=parameters.record_limit * 10**6)
+        self._client = GraspClient(node, timeout=parameters.call_timeout, record=record)
         self._out = Path(parameters.out)
         region = box_from_message(parameters.region)
         self._pictures = ClearingPictures(self._out, region) if parameters.pictures else None
@@ -69,15 +74,15 @@ class BinClearing:
         started = time.monotonic()
         failure = ""
         try:
-            self._client.wait_until_ready(self._parameters.ready_timeout)
+            self._client.wait_until_ready(self._parameters.ready_timeout, cell=True)
             while (gripper := self._plan.gripper) is not None:
                 if gripper != self._mounted:
                     self._mount(gripper)
                 self._pick(gripper)
-        except SystemFailure as error:
+        except (SystemFailure, GraspServerError) as error:
             failure = str(error)
             self._plan.stop(f"system failure: {failure}")
-            raise
+            raise SystemFailure(failure) from error
         finally:
             if not self._plan.ended:
                 self._plan.stop("interrupted")
@@ -119,10 +124,9 @@ class BinClearing:
             "picture": picture,
         }
         if chosen is None:
-            reason = "no grasp found" if not grasps else "all grasps are aimed at given-up objects"
             record = PickRecord(
                 success=False,
-                reason=reason,
+                reason="given_up" if grasps else "no_grasp",
                 removed=(),
                 objects_left=self._plan.objects_left,
                 **common,
@@ -131,7 +135,7 @@ class BinClearing:
         else:
             grasp = grasps[chosen]
             begun = time.monotonic()
-            result = self._client.execute(answer.grasps.header, answer.grasps.gripper, grasp)
+            result = self._client.execute(answer.grasps, grasp)
             self._not_before = self._node.get_clock().now().to_msg()
             if result.error_code == ErrorCode.STALE_CLOUD and self._stale < STALE_IN_A_ROW:
                 # The scene moved between the picture and the attempt; nothing was tried.
@@ -150,6 +154,8 @@ class BinClearing:
                 objects_left=int(result.objects_left),
                 score=float(grasp.score),
                 width=float(grasp.width),
+                width_tolerance=float(grasp.width_tolerance),
+                closed_width=float(result.width),
                 execution_seconds=time.monotonic() - begun,
                 **common,
             )
@@ -182,8 +188,10 @@ class BinClearing:
     ) -> str | None:
         if self._pictures is None:
             return None
-        cloud = self._client.cloud_of(answer.grasps.header.stamp)
-        if cloud is None:
+        try:
+            # Nothing has moved since the cloud of the answer.
+            cloud = self._client.newest_cloud(PICTURE_WAIT, after=self._not_before)
+        except GraspServerError:
             return None
         return self._pictures.pick(attempt, cloud, answer.grasps, chosen, gripper)
 
@@ -200,41 +208,27 @@ class BinClearing:
         )
 
 
-def main() -> None:
+def main(signals: StopSignals | None = None) -> None:
     """Entry point of the executable `bin_clearing`."""
-    sys.exit(_run())
+    run_program(_run, signals=signals)
 
 
 def _run() -> int:
-    rclpy.init()
-    log = get_logger("bin_clearing")
     executor = SingleThreadedExecutor()
-    spinner: threading.Thread | None = None
+    spinner = threading.Thread(target=_spin, args=(executor,), daemon=True)
     try:
         node = Node("bin_clearing")
         clearing = BinClearing(node, declare_clearing_parameters(node))
         executor.add_node(node)
-        spinner = threading.Thread(target=_spin, args=(executor,), daemon=True)
         spinner.start()
         clearing.run()
         return 0
-    except (MegraspError, ParameterException) as error:
-        log.fatal(str(error))
-        return 2
     except SystemFailure as error:
-        log.fatal(str(error))
+        get_logger("bin_clearing").fatal(str(error))
         return 1
-    except (KeyboardInterrupt, ExternalShutdownException):
-        return 130
-    except Exception:
-        # A signal makes rclpy's handles invalid under whatever call is running.
-        if rclpy.ok():
-            raise
-        return 130
     finally:
         executor.shutdown()
-        rclpy.try_shutdown()
-        if spinner is not None:
+        if spinner.is_alive():
             spinner.join(timeout=5.0)
 
 

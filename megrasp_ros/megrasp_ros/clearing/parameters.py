@@ -26,6 +26,8 @@ class ClearingParameters:
     pictures: bool
     ready_timeout: float
     call_timeout: float
+    record: str
+    record_limit: int
 
 
 def declare_clearing_parameters(node: Node) -> ClearingParameters:
@@ -68,6 +70,16 @@ def declare_clearing_parameters(node: Node) -> ClearingParameters:
         ),
         call_timeout=declare(
             "call_timeout", 120.0, "longest wait for one answer (s)", low=0.1, high=3600.0
+        ),
+        record=declare(
+            "record", "", "folder that every attempt is written to (docs/attempts.md); empty: none"
+        ),
+        record_limit=declare(
+            "record_limit",
+            2000,
+            "most megabytes in that folder; the oldest attempts go",
+            low=1,
+            high=10**7,
         ),
     )
 

@@ -29,12 +29,17 @@ def diagnostics(
     cloud_silence: float,
     planning_frame: str,
     transform: str,
+    transform_missing: bool,
     job: str,
     last_outcome: str,
     latency: float,
 ) -> DiagnosticArray:
-    """Return the array with one status. Worst first: an error text, a tool mismatch, then OK."""
+    """Return the array with one status. Worst first: an error text, a tool mismatch, a transform
+    that was not there, then OK.
+    """
     level, message = DiagnosticStatus.OK, state
+    if transform_missing:
+        level, message = DiagnosticStatus.WARN, f"the transform {transform}"
     if gripper and reported is not None and reported != gripper:
         level, message = (
             DiagnosticStatus.WARN,
@@ -58,6 +63,7 @@ def diagnostics(
         "last request": last_outcome or "none yet",
         "last latency (s)": f"{latency:.3f}",
         "memory (MiB)": f"{psutil.Process().memory_info().rss / 2**20:.0f}",
+        "memory left (MiB)": f"{psutil.virtual_memory().available / 2**20:.0f}",
         "GPU memory (MiB)": _gpu_memory(device),
     }
     status = DiagnosticStatus(

@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+import gc
+import logging
+import sys
 from collections.abc import Callable
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from megrasp_core.errors import MegraspError, ModelError
-from megrasp_core.grippers import Gripper
+from megrasp_core.machine import is_out_of_memory
+from megrasp_ros.errors import ShortMemoryError
 
 from .parameters import Settings
+
+if TYPE_CHECKING:
+    from megrasp_core.grippers import Gripper
 
 Factory = Callable[[str | None, str, int | None], Any]
 """(model or None, device, threads or None) -> an object like
 megrasp_core.synthesizer.GraspSynthesizer."""
+
+
+AT_ONCE = (64, 8)
+"""Poses that the network takes at a time after memory was not enough for all, and then again."""
+
+_log = logging.getLogger(__name__)
 
 
 def load_synthesizer(model: str | None, device: str, threads: int | None) -> Any:
@@ -64,9 +78,9 @@ class Engine:
             self._synthesizer = self._factory(
                 settings.model or None, key[1], settings.threads or None
             )
-        except (MegraspError, MemoryError):
-            raise
         except Exception as error:
+            if isinstance(error, MegraspError) or is_out_of_memory(error):
+                raise
             raise ModelError(
                 f"the model {settings.model or '(default)'} cannot be loaded on {key[1]}: "
                 f"{type(error).__name__}: {error}. Expected a folder with config.json and "
@@ -86,13 +100,31 @@ class Engine:
             self._in_use = gripper
 
     def synthesize(self, gripper: Gripper, cloud: Any, **options: Any) -> Any:
-        """Return the Synthesis of a cloud for this gripper; the model must be loaded."""
+        """Return the Synthesis of a cloud for this gripper; the model must be loaded.
+
+        Where memory is not enough it is tried again with fewer poses at a time; the notes tell.
+        Raises ShortMemoryError when that does not help.
+        """
         if self._synthesizer is None:
             raise ModelError(
                 "no model is loaded; expected one. Set the parameter model and call again."
             )
-        self.use(gripper)
-        return self._synthesizer.synthesize(cloud, **options)
+        for at_once in (None, *AT_ONCE):
+            try:
+                self.use(gripper)
+                if at_once is None:
+                    return self._synthesizer.synthesize(cloud, **options)
+                found = self._synthesizer.synthesize(cloud, at_once=at_once, **options)
+                note = f"memory was short: {at_once} poses were computed at a time."
+                return replace(found, notes=(*found.notes, note))
+            except Exception as error:
+                if not is_out_of_memory(error):
+                    raise
+                why = str(error) or type(error).__name__
+            # Here, where the error no longer holds what was in its frames.
+            _log.warning("out of memory with %s poses at a time: %s", at_once or "all", why)
+            _make_room()
+        raise ShortMemoryError(why, AT_ONCE[-1])
 
     def seen_in_training(self, gripper: Gripper) -> bool:
         """Return whether the loaded model was trained with this description."""
@@ -102,11 +134,30 @@ class Engine:
         return gripper.hash in synthesizer.model.info.trained_grippers.values()
 
 
-def best_of(results: list[tuple[Gripper, Any]]) -> tuple[Gripper, Any]:
-    """Return the gripper whose best grasp scores highest, and its synthesis; the first one if none
-    has any.
+def best_of(
+    results: list[tuple[Gripper, Any]], mounted: str = "", swap_cost: float = 0.0
+) -> tuple[Gripper, Any]:
+    """Return the gripper whose best grasp is worth most, and its synthesis.
+
+    Worth is the score, less `swap_cost` for another gripper than the one that is mounted; of equal
+    ones that one is taken. Without any grasp it is the mounted one, else the first.
     """
-    return max(results, key=lambda pair: pair[1].grasps[0].score if pair[1].grasps else -np.inf)
+
+    def worth(pair: tuple[Gripper, Any]) -> tuple[float, bool]:
+        gripper, synthesis = pair
+        on = gripper.name == mounted
+        score = synthesis.grasps[0].score if synthesis.grasps else -np.inf
+        return score - (0.0 if on else swap_cost), on
+
+    return max(results, key=worth)
+
+
+def _make_room() -> None:
+    """Give back what nobody uses any more, that of a GPU included."""
+    gc.collect()
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.cuda.is_initialized():
+        torch.cuda.empty_cache()
 
 
 __all__ = ["Engine", "Factory", "best_of", "load_synthesizer", "resolve_device"]

@@ -60,6 +60,8 @@ class FrameSource:
         self._buffer = buffer
         self.last = ""
         """What became of the last transform, for diagnostics; "" before the first."""
+        self.missing = False
+        """Whether it was not there."""
 
     def listen(self, settings: Settings) -> None:
         """Fill the buffer from now on if tf2 will be asked: the first request finds transforms
@@ -84,14 +86,14 @@ class FrameSource:
                 "planning_frame: base_link"
             )
         if not target or target == source:
-            self.last = f"none needed, clouds come in {source!r}"
+            self.last, self.missing = f"none needed, clouds come in {source!r}", False
             return source, np.eye(4)
         if settings.extrinsics is not None:
-            self.last = f"{source} -> {target} by the parameter extrinsics"
+            self.last, self.missing = f"{source} -> {target} by the parameter extrinsics", False
             return target, settings.extrinsics
-        self.last = f"{source} -> {target} was not found by tf2"
+        self.last, self.missing = f"{source} -> {target} was not found by tf2", True
         matrix = self._from_tf2(target, source, header, settings.tf_timeout)
-        self.last = f"{source} -> {target} by tf2"
+        self.last, self.missing = f"{source} -> {target} by tf2", False
         return target, matrix
 
     def _from_tf2(self, target: str, source: str, header: Header, timeout: float) -> FloatArray:
@@ -121,15 +123,17 @@ def is_optical(frame: str) -> bool:
     return frame.endswith(_OPTICAL)
 
 
-def gravity_in(frame: str, settings: Settings) -> FloatArray:
+def gravity_in(frame: str, settings: Settings, *, optical: bool = False) -> FloatArray:
     """Return the unit vector (3,) of gravity in the planning frame `frame`.
 
     Without the parameter, -z; but an optical frame's z looks away from the camera, so there it
     must be given. Raises GravityError then.
+
+    optical: the frame is known to be a camera's, whatever its name.
     """
     if settings.gravity is not None:
         return settings.gravity
-    if is_optical(frame):
+    if optical or is_optical(frame):
         raise GravityError(
             f"the direction of gravity is not known: grasps are asked for in {frame!r}, an "
             "optical frame, and the parameter gravity is not set. Add the line `gravity: [0.0, "

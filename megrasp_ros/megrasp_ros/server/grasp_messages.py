@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from geometry_msgs.msg import PoseArray
@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-from megrasp_core.grippers import Gripper
-from megrasp_core.synthesizer import PoseSet
 from megrasp_ros.conversions import matrix_from_pose, pose_from_matrix
+
+if TYPE_CHECKING:
+    from megrasp_core.grippers import Gripper
+    from megrasp_core.synthesizer import PoseSet
 
 
 @dataclass

@@ -12,7 +12,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
@@ -24,16 +24,16 @@ from rclpy.parameter import Parameter
 from rclpy.timer import Timer
 
 from megrasp_core.errors import InvalidRequestError
-from megrasp_core.grippers import Gripper
 from megrasp_ros.errors import BinEmptyError, ConfigureError, NotActiveError, describe
+from megrasp_ros.fast_dds import shared_memory_warning
 from megrasp_ros.lifecycle import GuardedLifecycleNode
 from megrasp_ros.logs import forward_logs
+from megrasp_ros.memory import few_arenas
 from megrasp_ros.process import StopSignals, run_node
-from megrasp_ros.shared_memory import shared_memory_warning
 from megrasp_ros.waiting import wake_when
 
 from . import parameters
-from .clouds import CloudSource
+from .bin_service import BinService
 from .diagnostics import diagnostics
 from .engine import Engine, Factory, load_synthesizer
 from .frames import FrameSource, TransformBuffer
@@ -45,11 +45,15 @@ from .outputs import Outputs, Picture
 from .parameter_table import FLANGE_PREFIX, TABLE
 from .parameters import Settings
 from .requests import ParsedRequest
+from .sensing import Sensing
 from .static_frames import StaticFrames
 from .synthesis import OnStep, SynthesisRunner
 from .synthesis_services import SynthesisServices
 from .tool_state import Claim, ToolState
 from .worker import Job, Worker
+
+if TYPE_CHECKING:
+    from megrasp_core.grippers import Gripper
 
 STOP = 30.0
 """Longest wait (s) for a job to stop when the node is deactivated."""
@@ -100,9 +104,9 @@ class GraspServer(GuardedLifecycleNode):
         self._open_lock = threading.Lock()
         self._engine = Engine(factory)
         self._worker = Worker()
-        self._clouds = CloudSource(self)
         self._frames = FrameSource(self, buffer)
-        self._synthesis = SynthesisRunner(self._engine, self._clouds, self._frames)
+        self._sensing = Sensing(self, self._frames)
+        self._synthesis = SynthesisRunner(self._engine, self._sensing)
         self._static_frames = StaticFrames(self)
         self._outputs = Outputs(
             self, lambda gripper: self._grippers.info(gripper), self._tell_frames
@@ -114,6 +118,7 @@ class GraspServer(GuardedLifecycleNode):
         self._requests = SynthesisServices(
             self, self._worker, self._synthesize, self._require_active, self._ended, group
         )
+        BinService(self, self._sensing, self._run_job, group)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 1)
         # Timers of the machine's clock: with use_sim_time the node's own may stand still.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -146,9 +151,9 @@ class GraspServer(GuardedLifecycleNode):
         loaded or a parameter does not fit what there is.
         """
         started = time.monotonic()
-        settings = parameters.read(self)
         try:
-            self._worker.submit(Job("configure", lambda job: self._load(settings, job))).wait()
+            # In the worker, the import of torch included; services answer meanwhile.
+            self._worker.submit(Job("configure", self._load)).wait()
         except Exception as error:
             self._not_configured, self._error = error, describe(error)[1]
             self.guard.tell("configuring failed", error)
@@ -215,14 +220,19 @@ class GraspServer(GuardedLifecycleNode):
         self._is_active = False
         # Before the publishers are switched off.
         self._state.suspend()
-        self._clouds.set_continuous(False)
+        self._sensing.rest()
         self._worker.stop_all(
             "the node is being deactivated; activate it and send the request again.", STOP
         )
 
     # Jobs
 
-    def _load(self, settings: Settings, job: Job) -> None:
+    def _load(self, job: Job) -> None:
+        # Here and nowhere earlier: this is what takes seconds.
+        import megrasp_core.synthesizer  # noqa: F401
+
+        settings = parameters.read(self)
+        parameters.declare_flanges(self, self._live)
         wrong = self._live.wrong(TABLE, {name: self.get_parameter(name).value for name in TABLE})
         # Grippers and model give the reason in their own words, below.
         if wrong and not wrong.startswith(("parameter gripper:", "parameter model:")):
@@ -244,14 +254,21 @@ class GraspServer(GuardedLifecycleNode):
             "then activate; or start it with autostart: true, which takes a moment."
         )
 
-    async def _run_job(self, what: str, work: Callable[[Job], Any]) -> Any:
+    async def _run_job(
+        self,
+        what: str,
+        work: Callable[[Job], Any],
+        *,
+        timeout: float = 0.0,
+        preemptible: bool = False,
+    ) -> Any:
         def checked(job: Job) -> Any:
             # Again: the node may have been deactivated before there was a job to cancel.
             self._require_active()
             return work(job)
 
         self._require_active()
-        job = self._worker.submit(Job(what, checked))
+        job = self._worker.submit(Job(what, checked, timeout, preemptible=preemptible))
         await self._ended(job)
         return job.outcome()
 
@@ -283,7 +300,8 @@ class GraspServer(GuardedLifecycleNode):
         try:
             self._engine.load_model(settings)
             self._error = ""
-            computed = self._synthesis.run(job, request, settings, grippers, step)
+            mounted = self._state.mounted
+            computed = self._synthesis.run(job, request, settings, grippers, step, mounted=mounted)
         except BinEmptyError:
             if claim is not None:
                 self._state.clear(claim)
@@ -308,7 +326,7 @@ class GraspServer(GuardedLifecycleNode):
         settings = parameters.read(self)
         if "gripper" in names:
             self._grippers.ask_for(settings.gripper)
-        if {"auto_synthesize", "points_subscription"} & names:
+        if {"auto_synthesize", "input", "points_subscription"} & names:
             self._follow_points(settings)
         if {"planning_frame", "extrinsics"} & names and self._is_active:
             self._frames.listen(settings)
@@ -326,9 +344,11 @@ class GraspServer(GuardedLifecycleNode):
 
     def _follow_points(self, settings: Settings) -> None:
         automatic = settings.auto_synthesize == "on_cloud"
-        self._clouds.on_cloud = self._requests.on_cloud if automatic else None
-        self._clouds.set_continuous(
-            self._is_active and (automatic or settings.points_subscription == "continuous")
+        self._sensing.follow(
+            settings,
+            continuous=self._is_active
+            and (automatic or settings.points_subscription == "continuous"),
+            on_arrival=self._requests.on_cloud if automatic else None,
         )
 
     def _each_second(self) -> None:
@@ -336,8 +356,9 @@ class GraspServer(GuardedLifecycleNode):
         self._publish_diagnostics()
 
     def _publish_diagnostics(self) -> None:
-        settings, job, active = parameters.read(self), self._worker.current, self._state.active
-        frame = settings.planning_frame or "frame of the cloud"
+        job, active = self._worker.current, self._state.active
+        frame = self.get_parameter("planning_frame").value or "frame of the cloud"
+        source = self._sensing.source(str(self.get_parameter("input").value))
         self._diagnostics.publish(
             diagnostics(
                 name=self.get_fully_qualified_name(),
@@ -349,11 +370,12 @@ class GraspServer(GuardedLifecycleNode):
                 tool_version=self._state.version,
                 model=self._engine.model_id,
                 device=self._engine.device,
-                clouds=self._clouds.count,
-                cloud_rate=self._clouds.rate,
-                cloud_silence=self._clouds.silence,
+                clouds=source.count,
+                cloud_rate=source.rate,
+                cloud_silence=source.silence,
                 planning_frame=frame,
                 transform=self._frames.last,
+                transform_missing=self._frames.missing,
                 job=job.what if job else "",
                 last_outcome=self._requests.last,
                 latency=self._requests.latency,
@@ -373,6 +395,7 @@ def main(factory: Factory = load_synthesizer, signals: StopSignals | None = None
             node.get_logger().warning(small)
         return node
 
+    few_arenas()
     run_node(make, threads=6, signals=signals)
 
 

@@ -4,8 +4,9 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Awaitable, Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from megrasp_msgs.msg import ErrorCode, GripperInfo
@@ -16,11 +17,18 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
 from megrasp_core.errors import MegraspError
-from megrasp_core.grippers import Gripper
-from megrasp_ros.errors import ToolMismatchError, UnknownNameError, describe, shortened
+from megrasp_ros.errors import (
+    NotActiveError,
+    ToolMismatchError,
+    UnknownNameError,
+    describe,
+    shortened,
+)
 from megrasp_ros.lifecycle import GuardedLifecycleNode
+from megrasp_ros.memory import give_back
 from megrasp_ros.pacing import paced
 from megrasp_ros.qos import CALLS, LATCHED
+from megrasp_ros.waiting import wake_when
 
 from . import parameters
 from .changer import Changer
@@ -30,7 +38,10 @@ from .gripper_shelf import GripperShelf
 from .parameters import Settings
 from .tool_change import change_tool
 from .tool_state import Claim, ToolState
-from .worker import Job
+from .worker import Job, run_job
+
+if TYPE_CHECKING:
+    from megrasp_core.grippers import Gripper
 
 RunJob = Callable[[str, Callable[[Job], Any]], Awaitable[Any]]
 """(what, work) -> result; runs the work in the worker thread of an active node."""
@@ -55,6 +66,8 @@ class GripperServices:
         self._run_job = run_job
         self._changer = Changer(node)
         self._wanted = ""
+        self._listed: Job | None = None
+        self._lock = threading.Lock()
         node.create_subscription(
             String, "tool_id", self._on_tool_id, LATCHED, callback_group=group
         )
@@ -158,15 +171,14 @@ class GripperServices:
     async def _set_gripper(
         self, request: SetGripper.Request, response: SetGripper.Response
     ) -> SetGripper.Response:
-        settings = parameters.read(self._node)
         name = request.gripper_name
         try:
-            response.available = self._shelf.names(settings.gripper_paths)
-            response.gripper = await self._run_job(
+            response.gripper, response.available = await self._run_job(
                 f"set_gripper {shortened(name, 40)!r}",
-                lambda job: self._change(name, request.dry_run, settings, job),
+                lambda job: self._change(name, request.dry_run, job),
             )
         except Exception as error:
+            response.available = self._names(error)
             response.error_code, response.error_msg = describe(error)
             self._node.get_logger().warning(f"set_gripper: {response.error_msg}")
             return response
@@ -175,15 +187,25 @@ class GripperServices:
         self._node.get_logger().info(f"gripper {response.gripper.name!r} {state}")
         return response
 
-    def _change(self, name: str, dry_run: bool, settings: Settings, job: Job) -> GripperInfo:
+    def _names(self, error: Exception) -> list[str]:
+        """Return the names that could have been asked for, where an error leaves time to look."""
+        if isinstance(error, NotActiveError):
+            # What is needed to look may still be loading.
+            return []
+        try:
+            return self._shelf.names(parameters.read(self._node).gripper_paths)
+        except MegraspError:
+            return []
+
+    def _change(self, name: str, dry_run: bool, job: Job) -> tuple[GripperInfo, list[str]]:
+        settings = parameters.read(self._node)
+        names = self._shelf.names(settings.gripper_paths)
         if not name:
-            raise UnknownNameError(
-                "", self._shelf.names(settings.gripper_paths), allow_paths=settings.allow_paths
-            )
+            raise UnknownNameError("", names, allow_paths=settings.allow_paths)
         gripper = self._load(name, settings, job, allow_paths=settings.allow_paths)
         if dry_run:
             gripper.tokens()
-            return self.info(gripper)
+            return self.info(gripper), names
         changer = settings.tool_changer
         change_tool(
             self._state,
@@ -194,36 +216,52 @@ class GripperServices:
             mount=(lambda tool, job: self._changer.mount(changer, tool, job)) if changer else None,
         )
         self._node.set_parameters([Parameter("gripper", value=name)])
-        return self.info(gripper)
+        return self.info(gripper), names
 
-    def _list_grippers(
+    async def _list_grippers(
         self, _: ListGrippers.Request, response: ListGrippers.Response
     ) -> ListGrippers.Response:
-        paths = parameters.read(self._node).gripper_paths
+        job = self._listing()
+        await wake_when(job.on_done, self._node)
         active = self._state.active
         response.active = "" if active is None else active.name
+        response.grippers = job.outcome()
+        return response
+
+    def _listing(self) -> Job:
+        """Return the list that is being made, or begin another.
+
+        In a thread of its own: it may be asked for while the worker computes, and the first one
+        takes seconds, for which no thread of the executor waits.
+        """
+        with self._lock:
+            if self._listed is None or self._listed.done.is_set():
+                self._listed = job = Job("list_grippers", self._list)
+                threading.Thread(target=run_job, args=(job,), name="listing", daemon=True).start()
+            return self._listed
+
+    def _list(self, _: Job) -> list[GripperInfo]:
+        paths = parameters.read(self._node).gripper_paths
+        log, found = self._node.get_logger(), []
         try:
             names = self._shelf.names(paths)
         except MegraspError as error:
-            self._node.get_logger().warning(f"list_grippers: {error}")
-            return response
+            log.warning(f"list_grippers: {error}")
+            return []
         for name in names:
             try:
-                gripper = self._shelf.load(name, paths, seconds=LISTING)
-                response.grippers.append(self.info(gripper))
+                found.append(self.info(self._shelf.load(name, paths, seconds=LISTING)))
             except MegraspError as error:
-                self._node.get_logger().warning(f"list_grippers leaves out {name!r}: {error}")
-        return response
+                log.warning(f"list_grippers leaves out {name!r}: {error}")
+        return found
 
     async def _reload_grippers(
         self, _: ReloadGrippers.Request, response: ReloadGrippers.Response
     ) -> ReloadGrippers.Response:
-        settings = parameters.read(self._node)
         try:
-            response.failed = await self._run_job(
-                "reload_grippers", lambda job: self._reload(settings, job)
+            response.failed, response.available = await self._run_job(
+                "reload_grippers", self._reload
             )
-            response.available = self._shelf.names(settings.gripper_paths)
         except Exception as error:
             response.error_code, response.error_msg = describe(error)
             self._node.get_logger().warning(f"reload_grippers: {response.error_msg}")
@@ -236,10 +274,19 @@ class GripperServices:
             )
         return response
 
-    def _reload(self, settings: Settings, job: Job) -> list[str]:
+    def _reload(self, job: Job) -> tuple[list[str], list[str]]:
+        try:
+            return self._read_again(job)
+        finally:
+            give_back()
+
+    def _read_again(self, job: Job) -> tuple[list[str], list[str]]:
+        """Return what cannot be read, with the reasons, and all names."""
+        settings = parameters.read(self._node)
         self._shelf.forget()
         failed = []
-        for name in self._shelf.names(settings.gripper_paths):
+        names = self._shelf.names(settings.gripper_paths)
+        for name in names:
             try:
                 self._load(name, settings, job, allow_paths=False)
                 parameters.declare_flange(self._node, name)
@@ -251,8 +298,8 @@ class GripperServices:
             try:
                 fresh = self._load(spelling, settings, job, allow_paths=True)
             except MegraspError:
-                return failed
+                return failed, names
             if fresh.hash != active.hash:
                 self._prepare(fresh)
                 self._state.commit(fresh, spelling, mounted=self._state.reported)
-        return failed
+        return failed, names

@@ -7,24 +7,24 @@ a file that is no gripper.yaml.
 from __future__ import annotations
 
 import threading
+import time
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from megrasp_core.errors import DescriptionError
-from megrasp_core.grippers import (
-    FILE_NAME,
-    Gripper,
-    gripper_folders,
-    is_procedural,
-    load_gripper,
-)
 from megrasp_ros.bounded import StillRunningError, bounded
 from megrasp_ros.errors import UnknownNameError, shortened
 
+if TYPE_CHECKING:
+    from megrasp_core.grippers import Gripper
+
 MOST = 64
 """Grippers that are kept loaded."""
+
+SLICE = 0.1
+"""How often somebody who waits looks up (s)."""
 
 LOOK = 5.0
 """Longest time (s) to look what there is, and"""
@@ -42,7 +42,8 @@ class GripperShelf:
 
     def __init__(self) -> None:
         self._kept: OrderedDict[str, Gripper] = OrderedDict()
-        self._stuck: set[str] = set()
+        self._loading: dict[str, threading.Event] = {}
+        self._given_up: set[str] = set()
         self._lock = threading.Lock()
 
     def names(self, paths: Paths) -> list[str]:
@@ -54,6 +55,8 @@ class GripperShelf:
 
         Raises UnknownNameError; DescriptionError when it cannot be looked up.
         """
+        from megrasp_core.grippers import is_procedural
+
         folders = self._folders(paths)
         if name in folders:
             return str(folders[name])
@@ -87,19 +90,23 @@ class GripperShelf:
             UnknownNameError, DescriptionError, and what `check` raises.
         """
         place = self.locate(name, paths, allow_paths=allow_paths)
-        with self._lock:
-            if place in self._kept:
-                self._kept.move_to_end(place)
-                return self._kept[place]
-            if place in self._stuck:
-                raise _unreadable(name, "an earlier attempt is still going on")
-        registered = name in self._folders(paths)
-        gripper = self._read(place, name if registered else place, paths, seconds, check)
-        with self._lock:
-            self._kept[place] = gripper
-            while len(self._kept) > MOST:
-                self._kept.popitem(last=False)
-        return gripper
+        end = time.monotonic() + seconds
+        while True:
+            with self._lock:
+                if place in self._kept:
+                    self._kept.move_to_end(place)
+                    return self._kept[place]
+                read = self._loading.get(place)
+                if read is None:
+                    read = self._loading[place] = threading.Event()
+                    break
+            # Somebody else is reading it.
+            while not read.wait(SLICE):
+                if check is not None:
+                    check()
+                if place in self._given_up or time.monotonic() > end:
+                    raise _unreadable(name, "an earlier attempt is still going on")
+        return self._read(place, name, paths, end - time.monotonic(), check)
 
     def forget(self) -> None:
         """Read descriptions from disk again when they are next needed."""
@@ -109,26 +116,41 @@ class GripperShelf:
     def _read(
         self, place: str, name: str, paths: Paths, seconds: float, check: Check | None
     ) -> Gripper:
+        from megrasp_core.grippers import gripper_folders, load_gripper
+
         def read() -> Gripper:
             try:
-                gripper = load_gripper(name, paths)
+                registered = name in gripper_folders(paths)
+                gripper = load_gripper(name if registered else place, paths)
                 # Reads the files of the model once more.
                 _ = gripper.hash
+                with self._lock:
+                    self._keep(place, gripper)
                 return gripper
             finally:
                 with self._lock:
-                    self._stuck.discard(place)
+                    self._given_up.discard(place)
+                    self._loading.pop(place).set()
 
-        with self._lock:
-            self._stuck.add(place)
         try:
             return bounded(read, seconds, check)
         except StillRunningError as error:
+            with self._lock:
+                if place in self._loading:
+                    self._given_up.add(place)
             raise _unreadable(name, str(error)) from None
         except OSError as error:
             raise _unreadable(name, f"{type(error).__name__}: {error.strerror}") from error
 
+    def _keep(self, place: str, gripper: Gripper) -> None:
+        self._kept[place] = gripper
+        while len(self._kept) > MOST:
+            self._kept.popitem(last=False)
+
     def _folders(self, paths: Paths) -> dict[str, Path]:
+        # Outside the time limit: the first import takes longer than any disk.
+        from megrasp_core.grippers import gripper_folders
+
         return self._look(lambda: gripper_folders(paths), ", ".join(paths))
 
     def _look(self, call: Callable[[], T], what: str) -> T:
@@ -142,6 +164,8 @@ class GripperShelf:
 
 def _description_file(name: str) -> Path | None:
     """Return the gripper.yaml that a path leads to, None when there is none."""
+    from megrasp_core.grippers import FILE_NAME
+
     try:
         path = Path(name).expanduser()
         file = (path / FILE_NAME if path.is_dir() else path).resolve(strict=True)

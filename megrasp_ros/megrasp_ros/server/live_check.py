@@ -76,6 +76,9 @@ class LiveCheck:
         return ""
 
     def _model(self, values: dict[str, Any]) -> str:
+        # Outside the time limit: the first import takes longer than any disk.
+        import megrasp_core.network  # noqa: F401
+
         name = values["model"]
         try:
             bounded(lambda: self._find(name), LOOK)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from geometry_msgs.msg import Point
 from megrasp_msgs.msg import GraspArray
@@ -9,8 +11,10 @@ from numpy.typing import NDArray
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from megrasp_core.grippers import Gripper
 from megrasp_ros.conversions import matrix_from_pose
+
+if TYPE_CHECKING:
+    from megrasp_core.grippers import Gripper
 
 MAX_DRAWN = 50
 _FINGER = 0.04

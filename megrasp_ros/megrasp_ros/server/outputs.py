@@ -7,7 +7,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from geometry_msgs.msg import PoseArray
@@ -18,7 +18,6 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
-from megrasp_core.grippers import Gripper
 from megrasp_ros.lifecycle import GuardedLifecycleNode
 from megrasp_ros.qos import LATCHED
 from megrasp_ros.sensor_messages import cloud_message
@@ -26,6 +25,9 @@ from megrasp_ros.sensor_messages import cloud_message
 from .grasp_messages import pose_array
 from .markers import grasp_markers
 from .static_frames import GRIPPER_FRAME
+
+if TYPE_CHECKING:
+    from megrasp_core.grippers import Gripper
 
 FloatArray = NDArray[np.float64]
 

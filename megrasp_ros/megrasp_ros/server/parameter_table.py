@@ -18,11 +18,17 @@ from rclpy.expand_topic_name import expand_topic_name
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from megrasp_core.errors import InvalidRequestError
-from megrasp_core.synthesizer import MAX_DRAWN, MAX_GRASPS
-from megrasp_ros.conversions import matrix_from_numbers
+from megrasp_core.limits import MAX_DRAWN, MAX_GRASPS
+from megrasp_ros.conversions import FARTHEST, checked_pose
+from megrasp_ros.errors import shortened
+
+from .stamps import LONGEST_NAME
 
 FLANGE_PREFIX = "flange_from_gripper."
 IDENTITY = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+SHORTEST = 1e-6
+"""Of a vector that is to give a direction."""
+
 UNSET = [0.0] * 7
 """A pose that was not given."""
 
@@ -65,11 +71,33 @@ def _one_of(*choices: str) -> Check:
 
 def _numbers(count: int, meaning: str) -> Check:
     def check(value: Sequence[float]) -> str:
-        if len(value) == count and all(math.isfinite(v) for v in value):
+        if len(value) == count and all(abs(v) <= FARTHEST for v in value):
             return ""
-        return f"{list(value)} was given; expected {count} finite numbers: {meaning}"
+        return f"{_shown(value)} was given; expected {count} finite numbers: {meaning}"
 
     return check
+
+
+def _shown(value: Sequence[float]) -> str:
+    return shortened(str(list(value)), 200)
+
+
+def _direction(vector: Sequence[float]) -> bool:
+    """Whether it is 0 0 0, which stands for unset, or long enough to point somewhere."""
+    return not any(vector) or math.hypot(*vector) >= SHORTEST
+
+
+def _gravity(value: Sequence[float]) -> str:
+    wrong = _numbers(3, "the direction that things fall, in the planning frame")(value)
+    if wrong or _direction(value):
+        return wrong
+    return f"{_shown(value)} was given; expected a vector that points somewhere, such as 0 0 -1"
+
+
+def _frame(value: str) -> str:
+    if len(value) <= LONGEST_NAME:
+        return ""
+    return f"{value[:40]!r} and more was given; expected the name of a frame"
 
 
 def pose_check(unset_allowed: bool) -> Check:
@@ -79,7 +107,7 @@ def pose_check(unset_allowed: bool) -> Check:
         if unset_allowed and len(value) == 7 and not any(value):
             return ""
         try:
-            matrix_from_numbers(list(value), "the value")
+            checked_pose(list(value), "the value")
         except InvalidRequestError as error:
             return str(error)
         return ""
@@ -112,10 +140,10 @@ def _service(value: str) -> str:
 
 
 def _floor(value: Sequence[float]) -> str:
-    if len(value) == 1 and math.isfinite(value[0]):
+    if len(value) == 1 and abs(value[0]) <= FARTHEST:
         return ""
     wrong = _numbers(4, "nx, ny, nz, d of a plane; or one number, its height")(value)
-    if wrong or not any(value) or any(value[:3]):
+    if wrong or not any(value) or (any(value[:3]) and _direction(value[:3])):
         return wrong
     return f"{list(value)} was given; expected a normal that is not 0 0 0"
 
@@ -137,12 +165,34 @@ TABLE: dict[str, Spec] = {
         "gripper_name in a request may be the folder of a gripper.yaml; false: a registered name",
     ),
     "rack": Spec([""], 'grippers that a request for "auto" chooses from; empty: the active one'),
+    "swap_cost": Spec(
+        0.0,
+        "score that another gripper than the mounted one must gain to be chosen by a request for "
+        '"auto": what changing the tool is worth as probability of success',
+        0.0,
+        1.0,
+    ),
     "model": Spec("", "model id or folder; empty: the default model"),
     "device": Spec(
         "auto", "auto | cpu | cuda | cuda:N; auto takes a GPU if there is one", check=_device
     ),
     "threads": Spec(0, "CPU threads of one synthesis; 0: torch's choice", 0, 256),
-    "planning_frame": Spec("", "frame of all answers; empty: the frame of the cloud"),
+    "input": Spec(
+        "points",
+        "where clouds come from: points, the topic of that name; depth: the topics depth (16UC1 "
+        "in mm or 32FC1 in m, rectified), camera_info, and mask (numbers of objects) if somebody "
+        "publishes it",
+        check=_one_of("points", "depth"),
+    ),
+    "sync_tolerance": Spec(
+        0.0,
+        "with input depth: most difference of the stamps of depth, camera_info and mask (s)",
+        0.0,
+        1.0,
+    ),
+    "planning_frame": Spec(
+        "", "frame of all answers; empty: the frame of the cloud", check=_frame
+    ),
     "extrinsics": Spec(
         UNSET,
         "planning_from_cloud as x, y, z, qx, qy, qz, qw; all 0: unset, tf2 is asked when "
@@ -154,12 +204,12 @@ TABLE: dict[str, Spec] = {
         [0.0] * 3,
         "direction of gravity in the planning frame; all 0: unset, then -z, but an error in an "
         "optical frame",
-        check=_numbers(3, "the direction that things fall, in the planning frame"),
+        check=_gravity,
     ),
     "sensor_origin": Spec(
         [0.0] * 3,
         "place of the sensor in the frame of the cloud (m); the default is the origin of that "
-        "frame",
+        "frame, which is where that of a depth image always is",
         check=_numbers(3, "x, y, z in metres"),
     ),
     "pose_reference": Spec(
@@ -171,6 +221,7 @@ TABLE: dict[str, Spec] = {
         "flange",
         "frame that the active gripper hangs on in tf2: `gripper` and `gripper_tcp` are published "
         "below it on /tf_static (where tf2_msgs is installed); empty: not",
+        check=_frame,
     ),
     "region.pose": Spec(
         list(IDENTITY),
@@ -198,7 +249,9 @@ TABLE: dict[str, Spec] = {
         "that is said only of a floor that shows almost nowhere",
     ),
     "cloud_max_age": Spec(5.0, "oldest cloud that is used (s, by its stamp); 0: any", 0.0, 3600.0),
-    "cloud_timeout": Spec(5.0, "longest wait for a cloud on `points` (s)", 0.05, 600.0),
+    "cloud_timeout": Spec(
+        5.0, "longest wait for a cloud on `points`, or all of a depth image (s)", 0.05, 600.0
+    ),
     "num_grasps": Spec(20, "grasps of a synthesis by auto_synthesize", 1, MAX_GRASPS),
     "max_num_grasps": Spec(1000, "most grasps a request may ask for", 1, MAX_GRASPS),
     "drawn": Spec(100, "poses drawn per synthesis; at least num_grasps are drawn", 1, MAX_DRAWN),
@@ -235,8 +288,8 @@ TABLE: dict[str, Spec] = {
     "auto_period": Spec(1.0, "shortest time between two automatic syntheses (s)", 0.0, 3600.0),
     "points_subscription": Spec(
         "on_demand",
-        "on_demand: `points` is subscribed while a request waits; continuous: always (no wait, "
-        "more load)",
+        "on_demand: `points`, or `depth` and what belongs to it, is subscribed while a request "
+        "waits; continuous: always (no wait, more load)",
         check=_one_of("on_demand", "continuous"),
     ),
     "tool_changer": Spec(

@@ -5,11 +5,10 @@ Changes are checked when they are made and take effect with the next request.
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +19,16 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from megrasp_core.errors import InvalidRequestError, MegraspError
-from megrasp_core.grippers import Gripper
-from megrasp_core.pointcloud import OrientedBox, Plane
+from megrasp_core.errors import DescriptionError, InvalidRequestError
 from megrasp_ros.conversions import matrix_from_numbers
 from megrasp_ros.errors import MOST_TEXT, shortened
 
 from .live_check import LiveCheck
 from .parameter_table import FLANGE_PREFIX, TABLE, UNSET, pose_check
+
+if TYPE_CHECKING:
+    from megrasp_core.grippers import Gripper
+    from megrasp_core.pointcloud import OrientedBox, Plane
 
 
 @dataclass(frozen=True)
@@ -38,9 +39,12 @@ class Settings:
     gripper_paths: tuple[str, ...]
     allow_paths: bool
     rack: tuple[str, ...]
+    swap_cost: float
     model: str
     device: str
     threads: int
+    input: str
+    sync_tolerance: float
     planning_frame: str
     extrinsics: NDArray[np.float64] | None
     tf_timeout: float
@@ -71,7 +75,7 @@ class Settings:
 
 
 def declare(node: Node, live: LiveCheck) -> None:
-    """Declare the table's parameters and `flange_from_gripper.<name>` of the registered grippers.
+    """Declare the table's parameters.
 
     Raises InvalidRequestError when a value given at the start is not usable. What depends on disk
     and machine (`live`) is asked for later changes only: at the start, configuring finds it out.
@@ -82,11 +86,21 @@ def declare(node: Node, live: LiveCheck) -> None:
     refused = _first_wrong(given)
     if refused:
         raise InvalidRequestError(refused)
-    # Of no weight for the rest: a folder that cannot be read is told by configuring.
-    with contextlib.suppress(MegraspError):
-        for name in live.shelf.names(_paths(node.get_parameter("gripper_paths").value)):
-            declare_flange(node, name)
     node.add_on_set_parameters_callback(lambda changed: _checked(node, changed, live))
+
+
+def declare_flanges(node: Node, live: LiveCheck) -> None:
+    """Declare `flange_from_gripper.<name>` of the registered grippers.
+
+    Raises InvalidRequestError when a value given at the start is not usable.
+    """
+    try:
+        names = live.shelf.names(_paths(node.get_parameter("gripper_paths").value))
+    except DescriptionError:
+        # Of no weight for the rest: whoever needs a gripper is told.
+        return
+    for name in names:
+        declare_flange(node, name)
 
 
 def declare_flange(node: Node, gripper: str) -> None:
@@ -148,9 +162,16 @@ def _paths(value: Any) -> tuple[str, ...]:
 
 def read(node: Node) -> Settings:
     """Return the current values."""
-    values: dict[str, Any] = {name: node.get_parameter(name).value for name in TABLE}
+    return settings_of({name: node.get_parameter(name).value for name in TABLE})
+
+
+def settings_of(parameters: Mapping[str, Any]) -> Settings:
+    """Return the settings of the values of all parameters in the table, by their names."""
+    values = dict(parameters)
     values.pop("autostart")
     size, pose = list(values.pop("region.size")), values.pop("region.pose")
+    from megrasp_core.pointcloud import OrientedBox
+
     region = (
         OrientedBox(matrix_from_numbers(pose, "region.pose"), np.array(size))
         if any(size)
@@ -179,6 +200,8 @@ def read(node: Node) -> Settings:
 
 
 def _floor(numbers: Sequence[float]) -> Plane | float | None:
+    from megrasp_core.pointcloud import Plane
+
     if len(numbers) == 1:
         return float(numbers[0])
     normal = np.asarray(numbers[:3], dtype=np.float64)

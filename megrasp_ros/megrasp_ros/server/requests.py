@@ -6,6 +6,7 @@ import math
 import secrets
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -16,11 +17,13 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
 from megrasp_core.errors import InvalidRequestError
-from megrasp_core.pointcloud import OrientedBox
 from megrasp_ros.conversions import box_from_message, matrices_from_poses
 from megrasp_ros.errors import MOST_TEXT, shortened
 
 from .parameters import Settings
+
+if TYPE_CHECKING:
+    from megrasp_core.pointcloud import OrientedBox
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 from std_msgs.msg import Header
 
-from megrasp_core.grippers import Gripper
 from megrasp_ros.conversions import pose_from_matrix
 from megrasp_ros.qos import LATCHED
+
+if TYPE_CHECKING:
+    from megrasp_core.grippers import Gripper
 
 GRIPPER_FRAME = "gripper"
 TCP_FRAME = "gripper_tcp"

@@ -2,30 +2,27 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from megrasp_msgs.msg import ErrorCode, GraspArray
 from numpy.typing import NDArray
-from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
-from megrasp_core.grippers import Gripper
-from megrasp_core.pointcloud import Cloud, check_view
-from megrasp_core.synthesizer import PoseSet
-from megrasp_ros.conversions import points_from_cloud
 from megrasp_ros.errors import BinEmptyError
 
-from .clouds import CloudSource
 from .engine import Engine, best_of
-from .frames import FrameSource, gravity_in, is_optical
 from .grasp_messages import Outcome, grasp_array, rejection_counts, timing_message, unfinished
 from .parameters import Settings
 from .requests import ParsedRequest
+from .sensing import Sensing
 from .worker import Job
+
+if TYPE_CHECKING:
+    from megrasp_core.grippers import Gripper
+    from megrasp_core.synthesizer import PoseSet
 
 FloatArray = NDArray[np.float64]
 OnStep = Callable[[str, int, int, GraspArray | None], None]
@@ -51,10 +48,9 @@ class SynthesisRunner:
     make messages.
     """
 
-    def __init__(self, engine: Engine, clouds: CloudSource, frames: FrameSource) -> None:
+    def __init__(self, engine: Engine, sensing: Sensing) -> None:
         self._engine = engine
-        self._clouds = clouds
-        self._frames = frames
+        self._sensing = sensing
 
     def run(
         self,
@@ -63,8 +59,12 @@ class SynthesisRunner:
         settings: Settings,
         grippers: list[Gripper],
         on_step: OnStep | None = None,
+        *,
+        mounted: str = "",
     ) -> Computed:
         """Return the outcome for the best of `grippers` (usually one).
+
+        mounted: name of the one that is on the arm; others cost `settings.swap_cost`.
 
         Errors of the request, the cloud and the model are raised; that no grasp was found is an
         outcome, since it comes with counts.
@@ -72,37 +72,31 @@ class SynthesisRunner:
         step = on_step or (lambda phase, index, total, grasps=None: None)
         step("wait", 0, 0, None)
         exclude = request.excluded(job.check)
-        message = request.cloud
-        if message is not None:
-            self._clouds.check_given(message, request.not_before)
-        else:
-            message = self._clouds.wait(
-                job,
-                timeout=settings.cloud_timeout,
-                max_age=settings.cloud_max_age,
-                not_before=request.not_before,
-            )
-        waited = job.elapsed
-        step("perceive", 0, 1, None)
-        perceived = time.monotonic()
-        cloud, header, gravity = self._perceive(message, request, settings)
-        job.check()
-        perceive = time.monotonic() - perceived
-        options = self._options(job, request, settings, gravity)
+        queued = job.elapsed
+        sensed = self._sensing.sense(
+            job,
+            settings,
+            given=request.cloud,
+            not_before=request.not_before,
+            region=request.region,
+            target=request.target,
+            on_arrived=lambda: step("perceive", 0, 1, None),
+        )
+        options = self._options(job, request, settings, sensed.gravity)
         results = [
             (
                 gripper,
                 self._engine.synthesize(
                     gripper,
-                    cloud,
+                    sensed.cloud,
                     exclude=exclude,
-                    **self._told(gripper, header, request.seed, step),
+                    **self._told(gripper, sensed.header, request.seed, step),
                     **options,
                 ),
             )
             for gripper in grippers
         ]
-        gripper, synthesis = best_of(results)
+        gripper, synthesis = best_of(results, mounted, settings.swap_cost)
         if synthesis.bin_empty:
             raise BinEmptyError(
                 "only the support surface is left in the "
@@ -113,39 +107,25 @@ class SynthesisRunner:
             grasps=grasp_array(
                 gripper,
                 synthesis.grasps,
-                header=header,
+                header=sensed.header,
                 model_id=self._engine.model_id,
                 seed=request.seed,
             ),
             timing=timing_message(
-                synthesis.timing, wait=waited, perceive=perceive, total=job.elapsed
+                synthesis.timing,
+                wait=queued + sensed.waited,
+                perceive=sensed.seconds,
+                total=job.elapsed,
             ),
             rejected=rejection_counts(synthesis.rejected),
-            notes=synthesis.notes,
+            notes=(*synthesis.notes, *_compared(results, mounted, settings.swap_cost)),
         )
         if not synthesis.grasps:
             outcome.error_code = ErrorCode.NO_GRASP_FOUND
             outcome.error_msg = no_grasp_text(
                 synthesis.drawn, synthesis.rejected, gripper.name, synthesis.hints
             )
-        return Computed(outcome, gripper, cloud.points)
-
-    def _perceive(
-        self, message: PointCloud2, request: ParsedRequest, settings: Settings
-    ) -> tuple[Cloud, Header, FloatArray]:
-        """Return the cloud in the planning frame, the header of the answer and gravity (3,) in
-        that frame.
-        """
-        frame, planning_from_cloud = self._frames.planning_from_cloud(message.header, settings)
-        gravity = gravity_in(frame, settings)
-        points = points_from_cloud(message)
-        region = request.region
-        if region is not None:
-            region = region.transformed(np.linalg.inv(planning_from_cloud))
-        # Gravity is looked at in the planning frame, with everything else, before the synthesis.
-        check_view(points, region=region, optical=is_optical(message.header.frame_id))
-        cloud = Cloud(points, None, settings.sensor_origin).transformed(planning_from_cloud)
-        return cloud, Header(stamp=message.header.stamp, frame_id=frame), gravity
+        return Computed(outcome, gripper, sensed.cloud.points)
 
     def _told(
         self, gripper: Gripper, header: Header, seed: int, step: OnStep
@@ -189,6 +169,20 @@ class SynthesisRunner:
             "seed": request.seed & SEED_MASK,
             "cancelled": job.should_stop,
         }
+
+
+def _compared(
+    results: list[tuple[Gripper, Any]], mounted: str, swap_cost: float
+) -> tuple[str, ...]:
+    """Return what the grippers of a rack came to, for `auto`."""
+    if len(results) < 2:
+        return ()
+    told = []
+    for gripper, synthesis in results:
+        best = f"{synthesis.grasps[0].score:.2f}" if synthesis.grasps else "no grasp"
+        cost = "" if gripper.name == mounted else f" less {swap_cost:g} for changing the tool"
+        told.append(f"{gripper.name} {best}{cost}")
+    return (f"of the rack: {'; '.join(told)}.",)
 
 
 def no_grasp_text(drawn: int, rejected: dict[str, int], gripper: str, hints: Sequence[str]) -> str:

@@ -84,7 +84,7 @@ class SynthesisServices:
             result_service_qos_profile=CALLS,
             cancel_service_qos_profile=CALLS,
             # rclpy takes whole seconds in some versions.
-            result_timeout=max(1, round(parameters.read(node).result_timeout)),
+            result_timeout=max(1, round(float(node.get_parameter("result_timeout").value or 0))),
         )
 
     def close(self) -> None:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from megrasp_core.grippers import Gripper
 from megrasp_ros.errors import NoChangerError, ToolChangeError
 
 from .tool_state import ToolState
 from .worker import Job
+
+if TYPE_CHECKING:
+    from megrasp_core.grippers import Gripper
 
 
 class Changed(Protocol):

@@ -11,11 +11,16 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from megrasp_core.errors import MegraspError
-from megrasp_core.grippers import Gripper
-from megrasp_ros.errors import BusyError, NotActiveError, ToolMismatchError
+from megrasp_ros.errors import BusyError, NotActiveError, ToolMismatchError, shortened
+
+if TYPE_CHECKING:
+    from megrasp_core.grippers import Gripper
+
+LONGEST_NAME = 255
+"""Of a tool that somebody reports: every diagnosis tells it again."""
 
 
 class Told(Protocol):
@@ -73,6 +78,12 @@ class ToolState:
     def reported(self) -> str | None:
         """Name of the tool that is mounted, by the changer; "": none, None: nobody has said."""
         return self._reported
+
+    @property
+    def mounted(self) -> str:
+        """Name of the tool that is on the arm: as reported, else the active one; "": none."""
+        with self._lock:
+            return self._mounted()
 
     # Planning
 
@@ -152,7 +163,7 @@ class ToolState:
         """
         with self._lock:
             if mounted is not None:
-                self._reported = mounted
+                self._reported = shortened(mounted, LONGEST_NAME)
             elif not self._heard:
                 self._reported = ""
             self._changing = ""
@@ -172,7 +183,7 @@ class ToolState:
             if self._reported is None and not name:
                 return
             before = self._mounted()
-            self._reported, self._heard = name, True
+            self._reported, self._heard = shortened(name, LONGEST_NAME), True
             if self._mounted() != before:
                 self._void()
 

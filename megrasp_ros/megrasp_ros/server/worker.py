@@ -174,7 +174,8 @@ class Worker:
         for job in there:
             job.cancel(reason)
         end = time.monotonic() + timeout
-        return all([job.done.wait(max(0.0, end - time.monotonic())) for job in there])
+        ended = [job.done.wait(max(0.0, end - time.monotonic())) for job in there]
+        return all(ended)
 
     def close(self, timeout: float = 10.0) -> None:
         """Cancel the running job and end the thread."""
@@ -198,19 +199,12 @@ class Worker:
                     return
                 job = self._running = self._next
                 self._next = None
-            self._execute(job)
+            _execute(job)
             with self._changed:
                 # Free before the end is told: whoever waited may submit the next one at once.
                 self._running = None
-            self._tell(job)
+            _tell(job)
             del job
-
-    @staticmethod
-    def _tell(job: Job) -> None:
-        try:
-            job.end()
-        except Exception:
-            _log.exception("the end of job %r could not be told", job.what)
 
     def _give_up(self, job: Job) -> None:
         """End a job that has not begun and was cancelled."""
@@ -218,25 +212,38 @@ class Worker:
             job.check()
         except (CancelledError, RequestTimeoutError) as error:
             job.error = error
-        self._tell(job)
+        _tell(job)
 
-    @staticmethod
-    def _execute(job: Job) -> None:
+
+def run_job(job: Job) -> None:
+    """Do a job in the calling thread, and tell its end; its error is kept in it."""
+    _execute(job)
+    _tell(job)
+
+
+def _tell(job: Job) -> None:
+    try:
+        job.end()
+    except Exception:
+        _log.exception("the end of job %r could not be told", job.what)
+
+
+def _execute(job: Job) -> None:
+    try:
+        job.check()
+        job.result = job.work(job)
+    except CancelledError as error:
+        job.error = error
         try:
+            # The core only knows that it was stopped; the job knows why.
             job.check()
-            job.result = job.work(job)
-        except CancelledError as error:
-            job.error = error
-            try:
-                # The core only knows that it was stopped; the job knows why.
-                job.check()
-            except (CancelledError, RequestTimeoutError) as why:
-                job.error = why
-        except BaseException as error:
-            if not is_expected(error):
-                _log.exception("job %r failed", job.what)
-            job.error = error
-        _forget_frames(job.error)
+        except (CancelledError, RequestTimeoutError) as why:
+            job.error = why
+    except BaseException as error:
+        if not is_expected(error):
+            _log.exception("job %r failed", job.what)
+        job.error = error
+    _forget_frames(job.error)
 
 
 def _forget_frames(error: BaseException | None) -> None:

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from megrasp_core.cell.clearing import ClearingPlan, PickRecord
+from megrasp_core.cell.clearing import FAILURES, ClearingPlan, PickRecord
 from megrasp_core.errors import InvalidRequestError
 
 
@@ -157,3 +157,31 @@ def test_a_record_prints_on_one_line():
     assert "\n" not in line
     for part in ("pick  3", "robotiq_2f85", "0.50", "slipped", "4 left"):
         assert part in line
+
+
+@pytest.mark.parametrize(
+    ("success", "reason", "closed", "failure"),
+    [
+        (True, "", 0.031, ""),
+        (True, "", 0.045, "unexpected_width"),
+        (True, "", float("nan"), ""),
+        (False, "no_contact", 0.0, "no_contact"),
+        (False, "slipped (fell out of the bin: cup)", 0.03, "slipped"),
+        (False, "start_collision", None, "start_collision"),
+        (False, "the vacuum is off", 0.0, "unexpected_width"),
+        (False, "the arm did not come", None, "other"),
+    ],
+)
+def test_a_record_says_what_went_wrong(success, reason, closed, failure):
+    record = PickRecord(
+        1, "a", success, reason, (), 3, width=0.03, width_tolerance=0.004, closed_width=closed
+    )
+    assert record.failure == failure
+    if failure == "other":
+        assert reason in record.line()
+    elif not success:
+        assert FAILURES[failure] in record.line()
+    plan = ClearingPlan(["a"], 4)
+    plan.record(record, None)
+    assert plan.summary()["failures"] == ({failure: 1} if failure else {})
+    assert json.loads(json.dumps(plan.summary()))["picks"][0]["failure"] == failure

@@ -127,6 +127,7 @@ def test_a_good_grasp_removes_the_box(cell, name):
     assert result.success, result
     assert result.removed == ("box",)
     assert result.error == ""
+    assert result.width == pytest.approx(BOX[0], abs=0.006)
     assert cell.objects_left == result.objects_left == 1
     assert cell.remaining == ("box#2",)
     cloud = cell.capture().points
@@ -140,6 +141,7 @@ def test_a_grasp_into_the_air_leaves_everything(cell):
     assert not result.success
     assert result.removed == ()
     assert result.error == "no_contact"
+    assert result.width < 0.005
     assert cell.objects_left == 2
     for name, pose in cell.object_poses().items():
         np.testing.assert_allclose(pose, before[name], atol=1e-3)
@@ -152,6 +154,7 @@ def test_a_grasp_inside_the_box_is_a_start_collision(cell):
     assert not result.success
     assert result.error == "start_collision"
     assert result.depth > 0.001
+    assert np.isnan(result.width)
     assert cell.objects_left == 2
 
 

@@ -439,3 +439,36 @@ def test_another_broken_pipe_is_told(capsys, monkeypatch):
     monkeypatch.setattr("megrasp_core.cli.commands.app", Commands)
     code, _, told = run(capsys)
     assert code == 1 and "a process that it worked with has ended" in told
+
+
+def test_explain_takes_what_synthesize_takes_and_writes_a_page(capsys, model, cloud, tmp_path):
+    args = (
+        cloud,
+        "--gripper",
+        "robotiq_2f85",
+        "-n",
+        3,
+        "--drawn",
+        6,
+        "--model",
+        model,
+        "--seed",
+        4,
+    )
+    code, said, _ = run(capsys, "explain", *args, "--out", tmp_path / "why")
+    content = json.loads((tmp_path / "why/explanation.json").read_text())
+    assert code == (0 if content["grasps"] else 1) and content["seed"] == 4
+    assert len(content["poses"]) == 6
+    assert str(tmp_path / "why/explanation.html") in said
+    run(capsys, "synthesize", *args, "--out", tmp_path / "grasps.json")
+    grasps = json.loads((tmp_path / "grasps.json").read_text())["grasps"]
+    assert [one["score"] for one in grasps] == [one["score"] for one in content["grasps"]]
+
+
+def test_explain_also_draws_what_is_refused(capsys, model, cloud, tmp_path):
+    code, said, _ = run(
+        capsys, "explain", cloud, "--gripper", "robotiq_2f85", "--model", model,
+        "--sensor", 0, 0, -0.8, "--out", tmp_path,
+    )  # fmt: skip
+    assert code == 2 and "sensor at 0 0 -0.8 lies below" in said
+    assert (tmp_path / "map.png").is_file()

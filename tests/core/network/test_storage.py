@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 
 import pytest
 import torch
@@ -56,7 +57,7 @@ def test_unknown_model_lists_those_that_exist(folder, monkeypatch):
     assert error.value.code == 300
 
 
-@pytest.mark.parametrize("damage", ["truncate", "flip", "foreign"])
+@pytest.mark.parametrize("damage", ["truncate", "flip", "foreign", "pipe"])
 def test_damaged_weights_are_named(folder, damage):
     path = folder / "model.safetensors"
     content = path.read_bytes()
@@ -64,6 +65,9 @@ def test_damaged_weights_are_named(folder, damage):
         path.write_bytes(content[: len(content) // 2])
     elif damage == "flip":
         path.write_bytes(content[:-4] + b"abcd")
+    elif damage == "pipe":
+        path.unlink()
+        os.mkfifo(path)
     else:
         save_model(GraspModel(PRESETS["small"]), folder.parent / "other")
         path.write_bytes((folder.parent / "other" / "model.safetensors").read_bytes())

@@ -169,3 +169,10 @@ def test_a_tilted_floor() -> None:
     floor = Plane(normal, 0.0)
     found = unseen_structure(seen(OBJECTS), floor=floor)
     np.testing.assert_allclose(floor.height(found.points), 0.0, atol=1e-9)
+
+
+def test_a_region_as_large_as_a_hall_takes_no_memory() -> None:
+    """A square of 10 km has 6 million million points of 4 mm."""
+    hall = OrientedBox.around((0.0, 0.0, 5e3 - 1e-4), (1e4, 1e4, 1e4))
+    found = unseen_structure(seen(OBJECTS, hall), assume_empty=True)
+    assert len(found.points) <= 5_100_000

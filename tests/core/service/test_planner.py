@@ -156,6 +156,55 @@ def test_a_second_request_is_told_that_the_planner_is_busy(server, client) -> No
     assert not client.status()["busy"]
 
 
+def test_a_busy_planner_and_a_wrong_token_are_told_to_who_sends_a_large_cloud(
+    server, client, synthesizer
+) -> None:
+    cloud = np.zeros((700_000, 3))
+    with server._one_at_a_time(), pytest.raises(PlannerError, match="at work"):
+        client.synthesize(cloud, sensor=SENSOR)
+    guarded = PlannerServer(synthesizer, port=0, token="right")
+    thread = threading.Thread(target=guarded.serve)
+    thread.start()
+    try:
+        with pytest.raises(PlannerError, match="token"):
+            PlannerClient(guarded.address, "wrong").synthesize(cloud, sensor=SENSOR)
+    finally:
+        guarded.stop()
+        thread.join()
+
+
+def test_pages_of_others_cannot_reach_it(server) -> None:
+    body = json.dumps({"name": "robotiq_2f85"}).encode()
+    status, code, message = send(
+        server,
+        "POST",
+        "/gripper",
+        body,
+        Origin="http://example.org",
+        **{"Content-Type": "text/plain"},
+    )
+    assert (status, code) == (403, 5) and "browser" in message
+    assert server.status()["gripper"] == "franka_hand"
+
+
+def test_many_clients_at_once_get_an_answer_or_are_told_to_wait(client) -> None:
+    told = []
+
+    def ask(seed: int) -> None:
+        try:
+            answer = client.synthesize(points(), num_grasps=1, drawn=2, seed=seed, sensor=SENSOR)
+            told.append(answer["seed"] == seed)
+        except PlannerError as error:
+            told.append(error.code == 1)
+
+    threads = [threading.Thread(target=ask, args=(seed,)) for seed in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert told == [True] * 8
+
+
 def test_a_token_is_needed_where_one_is_set(synthesizer: GraspSynthesizer) -> None:
     guarded = PlannerServer(synthesizer, port=0, token="right")
     thread = threading.Thread(target=guarded.serve)
@@ -180,7 +229,10 @@ def test_nobody_there_is_said(server: PlannerServer) -> None:
         PlannerClient("http://127.0.0.1:9", timeout=2.0).status()
 
 
-def test_the_command_serves_until_it_is_told_to_stop(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_the_command_serves_until_it_is_told_to_stop(
+    tmp_path: Path, number: signal.Signals
+) -> None:
     torch.manual_seed(0)
     model = save_model(GraspModel(PRESETS["tiny"], model_id="random"), tmp_path / "random")
     start = "import sys; from megrasp_core.cli import main; sys.exit(main())"
@@ -194,7 +246,7 @@ def test_the_command_serves_until_it_is_told_to_stop(tmp_path: Path) -> None:
         line = process.stdout.readline()
         status = PlannerClient(line.split()[-1]).status()
         assert status["gripper"] == "franka_hand"
-        process.send_signal(signal.SIGTERM)
+        process.send_signal(number)
         assert process.wait(timeout=60) == 0
     finally:
         process.kill()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -151,6 +152,26 @@ def test_scene_is_encoded_once_a_cloud_and_gripper_once_a_gripper(model, monkeyp
     fresh.set_gripper("franka_hand")
     fresh.set_gripper("robotiq_2f85")
     assert calls["encode_scene"] == 2 and calls["encode_gripper"] == 2
+
+
+def test_a_trace_tells_what_became_of_every_pose_and_changes_nothing(synthesizer):
+    for options in ({"drawn": 60}, {"mode": "fast"}):
+        traces = []
+        traced = run(synthesizer, on_trace=traces.append, **options)
+        plain = run(synthesizer, **options)
+        np.testing.assert_array_equal(
+            [grasp.world_from_tcp for grasp in traced.grasps],
+            [grasp.world_from_tcp for grasp in plain.grasps],
+        )
+        (trace,) = traces
+        reason = trace.assessment.check.reason
+        assert len(reason) == len(trace.starts) == len(trace.drawn) == traced.drawn
+        counts = {name: n for name, n in traced.rejected.items() if n}
+        assert Counter(reason[reason != ""].tolist()) == counts
+        returned = trace.assessment.poses.tcp[reason == ""]
+        assert len(returned) == len(traced.grasps)
+        for grasp in traced.grasps:
+            assert (np.abs(returned - grasp.world_from_tcp).max(axis=(1, 2)) < 1e-12).any()
 
 
 def test_only_the_best_go_through_the_restarts(model, monkeypatch):
@@ -340,3 +361,20 @@ def test_unfinished_poses_are_told_in_the_frame_of_the_cloud(synthesizer, far):
     assert len(drawn & ranked) >= 1
     fits = heard[-1].gripper @ synthesizer.gripper.gripper_from_tcp
     np.testing.assert_allclose(fits, heard[-1].tcp, atol=1e-9 * max(1.0, far))
+
+
+def test_the_same_comes_out_with_few_poses_at_a_time(synthesizer, monkeypatch):
+    whole = run(synthesizer, keep_all=True)
+    sizes = []
+    predict = synthesizer.model.predict
+
+    def counted(field, code, poses, s):
+        sizes.append(len(poses))
+        return predict(field, code, poses, s)
+
+    monkeypatch.setattr(synthesizer.model, "predict", counted)
+    parts = run(synthesizer, keep_all=True, at_once=5)
+    assert set(sizes) == {5, 2}
+    assert parts.rejected == whole.rejected
+    for one, other in zip(parts.grasps, whole.grasps, strict=True):
+        np.testing.assert_allclose(one.world_from_tcp, other.world_from_tcp, atol=1e-4)

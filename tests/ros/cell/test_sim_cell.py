@@ -15,7 +15,7 @@ from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.time import Time as NodeTime
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2
 from std_msgs.msg import Header, String
 
 from megrasp_core.errors import InvalidRequestError, MegraspError, UnknownGripperError
@@ -183,6 +183,16 @@ def test_the_tool_is_changed_and_reported(cell):
         ({"pregrasp": Pose(orientation=Quaternion(w=0.0))}, ErrorCode.INVALID_REQUEST, "unit"),
         ({"pregrasp": Pose(position=Point(x=float("nan")))}, ErrorCode.INVALID_REQUEST, "finite"),
         ({"approach": Pose(position=Point(z=300.0))}, ErrorCode.INVALID_REQUEST, "metres"),
+        (
+            {"pregrasp_posture": JointState(name=["elbow"], position=[0.1])},
+            ErrorCode.INVALID_REQUEST,
+            "joints ['elbow']",
+        ),
+        (
+            {"pregrasp_posture": JointState(name=["elbow"])},
+            ErrorCode.INVALID_REQUEST,
+            "expected a finite position",
+        ),
     ],
 )
 def test_goals_that_make_no_sense_are_refused(cell, change, code, message):
@@ -192,13 +202,14 @@ def test_goals_that_make_no_sense_are_refused(cell, change, code, message):
         frame_id=change.get("frame", "cell"), stamp=cell.node.get_clock().now().to_msg()
     )
     header.stamp = change.get("stamp", header.stamp)
-    for name in ("pregrasp", "approach"):
+    for name in ("pregrasp", "approach", "pregrasp_posture"):
         setattr(grasp, name, change.get(name, getattr(grasp, name)))
     answer = cell.execute(header, change.get("gripper", "robotiq_2f85"), grasp)
     assert not answer.success
     assert answer.error_code == code
     assert message in answer.error_msg
     assert answer.objects_left == 3
+    assert np.isnan(answer.width)
 
 
 def test_a_stale_grasp_is_refused(cell):
@@ -206,6 +217,8 @@ def test_a_stale_grasp_is_refused(cell):
     header = cell.newest(PointCloud2).header
     first = cell.execute(header, "robotiq_2f85", in_the_air("robotiq_2f85"))
     assert (first.success, first.error_code, first.error_msg) == (False, 0, "no_contact")
+    # Closed on nothing, the fingers meet.
+    assert first.width < 0.005
     second = cell.execute(header, "robotiq_2f85", in_the_air("robotiq_2f85"))
     assert second.error_code == ErrorCode.STALE_CLOUD
     assert "not_before" in second.error_msg
@@ -244,6 +257,7 @@ def test_a_good_grasp_takes_a_box_out(cell):
     assert len(answer.removed) == 1
     assert answer.removed[0].startswith("box_")
     assert answer.objects_left == 2
+    assert answer.width == pytest.approx(BOX[0], abs=0.008)
     assert until(lambda: phases[-4:] == ["approach", "close", "lift", "drop"])
 
 

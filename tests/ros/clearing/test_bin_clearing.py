@@ -5,14 +5,20 @@ import signal
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from cell_processes import WAIT, Processes, own_domain, processes, save_boxes, until
+
+from megrasp_core.grippers import load_gripper
+from megrasp_core.storage import AttemptFolder
 
 pytestmark = pytest.mark.slow
 
 DOUBLE = Path(__file__).parents[2] / "support" / "analytic_grasp_server.py"
 DOMAIN = own_domain(4)
 GRIPPERS = ["robotiq_2f85", "franka_hand"]
+RUN = 4 * WAIT
+"""Longest time (s) for a whole run: three processes start, and each pick has its pictures."""
 
 
 @pytest.fixture
@@ -46,9 +52,9 @@ def start_clearing(cell: Processes, **parameters: object):
 
 
 def test_a_bin_is_emptied_with_two_grippers(cell):
-    start_double(cell)
+    start_double(cell, "--width", "0.03")
     clearing = start_clearing(cell)
-    assert clearing.wait(timeout=WAIT) == 0, cell.logs()
+    assert clearing.wait(timeout=RUN) == 0, cell.logs()
     log = cell.log("bin_clearing")
     summary = json.loads((cell.folder / "out" / "summary.json").read_text())
     assert summary["objects_at_start"] == 4
@@ -63,6 +69,15 @@ def test_a_bin_is_emptied_with_two_grippers(cell):
     assert log.index("mounted robotiq_2f85") < log.index("mounted franka_hand")
     assert log.count("pick ") == summary["attempts"]
     assert "set_gripper franka_hand" in cell.log("grasp_server")
+    lifted = [pick for pick in summary["picks"] if pick["success"]]
+    # The cell tells where the fingers stood: mostly on the narrow side of a box, as was said, and
+    # now and then across another one.
+    for pick in lifted:
+        near = abs(pick["closed_width"] - 0.03) <= pick["width_tolerance"]
+        assert pick["as_expected"] == near
+        assert pick["failure"] == ("" if near else "unexpected_width")
+    assert sum(pick["as_expected"] for pick in lifted) >= 2
+    assert "(as expected: 30)" in log
     for pick in summary["picks"]:
         if pick["returned"]:
             assert Path(pick["picture"]).stat().st_size > 5000
@@ -71,18 +86,38 @@ def test_a_bin_is_emptied_with_two_grippers(cell):
 
 def test_failed_grasps_are_excluded_and_the_gripper_is_handed_on(cell):
     """The double grasps into the air 2 times per gripper: the third try of each succeeds."""
-    start_double(cell, "--fail-first", "2")
-    clearing = start_clearing(cell, pictures="false")
-    assert clearing.wait(timeout=WAIT) == 0, cell.logs()
+    start_double(cell, "--fail-first", "2", "--width", "0.07")
+    record = cell.folder / "attempts"
+    clearing = start_clearing(cell, pictures="false", record=record)
+    assert clearing.wait(timeout=RUN) == 0, cell.logs()
     summary = json.loads((cell.folder / "out" / "summary.json").read_text())
     first = summary["picks"][:3]
     assert [pick["success"] for pick in first] == [False, False, True]
     assert [pick["reason"] for pick in first[:2]] == ["no_contact", "no_contact"]
+    # What was lifted is not as wide as it was said to be.
+    assert [pick["failure"] for pick in first] == [*2 * ["no_contact"], "unexpected_width"]
+    assert [pick["as_expected"] for pick in first] == [False, False, False]
+    assert summary["failures"]["no_contact"] >= 2
+    log = cell.log("bin_clearing")
+    assert "failed (no_contact: the fingers closed on nothing)" in log
+    assert "(not as expected: 70)" in log
     asked = [line for line in cell.log("grasp_server").splitlines() if "synthesize" in line]
     assert "excluded 0 seed 2" in asked[0]
     assert "excluded 1 seed 3" in asked[1]
     assert "excluded 2 seed 4" in asked[2]
     assert "excluded 0 seed 5" in asked[3]
+    # Every attempt is on disk, with the cloud it was made from.
+    kept = list(AttemptFolder(record).read_all(notes := []))
+    assert not notes, notes
+    tried = [pick for pick in summary["picks"] if pick["returned"]]
+    assert [attempt.success for attempt in kept] == [pick["success"] for pick in tried]
+    assert [attempt.reason for attempt in kept] == [pick["reason"] for pick in tried]
+    assert [attempt.gripper for attempt in kept] == [pick["gripper"] for pick in tried]
+    assert kept[0].gripper_hash == load_gripper(kept[0].gripper).hash
+    for attempt in kept:
+        assert attempt.frame == "cell" and len(attempt.points) > 10_000
+        tip = attempt.world_from_tcp[:3, 3] - [0, 0, 0 if attempt.success else 0.06]
+        assert np.linalg.norm(attempt.points - tip, axis=1).min() < 0.03
 
 
 def test_a_broken_server_ends_the_run_with_1(cell):

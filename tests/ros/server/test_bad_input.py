@@ -53,6 +53,11 @@ BAD_REQUESTS = {
         ["exclude[1]", "unit quaternion"],
     ),
     "region": (lambda c: {"region": box((0.1, -0.1, 0.1))}, ErrorCode.INVALID_REQUEST, ["over 0"]),
+    "region of a galaxy": (
+        lambda c: {"region": box((1e300, 1e300, 1e300))},
+        ErrorCode.INVALID_REQUEST,
+        ["up to 1000000"],
+    ),
     "no cloud": (
         lambda c: {"cloud": PointCloud2()},
         ErrorCode.NO_CLOUD,
@@ -132,7 +137,11 @@ def test_an_empty_table_is_error_401_and_clears_the_poses(server: Client) -> Non
             ErrorCode.NO_GRASP_FOUND,
             ["none of 100 drawn grasps", "collision 100", "another gripper"],
         ),
-        ("memory", ErrorCode.OUT_OF_MEMORY, ["no room for 3 poses", "drawn"]),
+        (
+            "memory",
+            ErrorCode.OUT_OF_MEMORY,
+            ["no room for 8 poses", "also with 8 poses at a time", "drawn"],
+        ),
         ("broken", ErrorCode.INTERNAL, ["KeyError", "log"]),
         ("damaged", ErrorCode.MODEL_NOT_LOADED, ["model.safetensors", "expected"]),
     ],

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from megrasp_core import grippers
 from megrasp_core.errors import CancelledError, DescriptionError
 from megrasp_core.grippers import Gripper, load_gripper
 from megrasp_ros.errors import UnknownNameError
@@ -18,14 +19,14 @@ from megrasp_ros.server.gripper_shelf import GripperShelf
 @pytest.fixture
 def stalled(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Let the description of schunk_wsg32 lie on a disk that does not answer."""
-    answers, load = threading.Event(), gripper_shelf.load_gripper
+    answers, load = threading.Event(), grippers.load_gripper
 
     def stall(name: str, paths: Sequence[str]) -> Gripper:
         if "schunk_wsg32" in name:
             answers.wait()
         return load(name, paths)
 
-    monkeypatch.setattr(gripper_shelf, "load_gripper", stall)
+    monkeypatch.setattr(grippers, "load_gripper", stall)
     yield
     answers.set()
 
@@ -38,6 +39,33 @@ def test_reading_that_blocks_is_given_up(stalled: None) -> None:
     with pytest.raises(DescriptionError, match="still going on"):
         shelf.load("schunk_wsg32", ())
     assert shelf.load("robotiq_2f85", ()).name == "robotiq_2f85"
+
+
+def test_who_comes_while_it_is_read_waits_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, go_on, load = threading.Event(), threading.Event(), grippers.load_gripper
+    loads: list[str] = []
+
+    def slow(name: str, paths: Sequence[str]) -> Gripper:
+        loads.append(name)
+        begun.set()
+        go_on.wait()
+        return load(name, paths)
+
+    monkeypatch.setattr(grippers, "load_gripper", slow)
+    shelf, found = GripperShelf(), []
+
+    def ask() -> None:
+        found.append(shelf.load("schunk_wsg32", ()))
+
+    threads = [threading.Thread(target=ask) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    assert begun.wait(60.0)
+    go_on.set()
+    for thread in threads:
+        thread.join()
+    assert loads == ["schunk_wsg32"]
+    assert len(found) == 4 and all(each is found[0] for each in found)
 
 
 def test_reading_can_be_broken_off(stalled: None) -> None:

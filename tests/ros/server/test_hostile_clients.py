@@ -88,6 +88,11 @@ REQUESTS: dict[str, tuple[Any, int, str]] = {
         "lacks x, y, z",
     ),
     "no frame": (lambda c: {"cloud": in_frame(c, "")}, ErrorCode.BAD_CLOUD, "frame_id is empty"),
+    "a frame of ten megabytes": (
+        lambda c: {"cloud": in_frame(c, "f" * 10**7)},
+        ErrorCode.BAD_CLOUD,
+        "frame_id has 10000000 characters",
+    ),
     "from the future": (
         lambda c: {"cloud": stamped(c, 3600)},
         ErrorCode.STALE_CLOUD,
@@ -195,6 +200,17 @@ def test_without_a_clock_the_age_of_clouds_is_not_known(server: Client) -> None:
         ({"tool_changer": "no service/of:this"}, "expected the name of a service"),
         ({"request_timeout": math.nan}, "request_timeout"),
         ({"gravity": [math.nan, 0.0, 0.0]}, "3 finite numbers"),
+        ({"gravity": [1e-320, 0.0, 0.0]}, "points somewhere"),
+        ({"gravity": [1e308, 1e308, 1e308]}, "3 finite numbers"),
+        ({"sensor_origin": [1e300, 0.0, 0.0]}, "3 finite numbers"),
+        ({"sensor_origin": [0.0] * 10**5}, "3 finite numbers"),
+        ({"region__size": [1e300] * 3}, "3 finite numbers"),
+        ({"region__pose": [1e300, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]}, "unit quaternion"),
+        ({"extrinsics": [1e300, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]}, "unit quaternion"),
+        ({"floor": [1e-320, 0.0, 0.0, 0.0]}, "expected a normal"),
+        ({"floor": [1e308] * 4}, "plane"),
+        ({"planning_frame": "x" * 10**6}, "name of a frame"),
+        ({"flange_frame": "x" * 10**6}, "name of a frame"),
         ({"flange_from_gripper__robotiq_2f85": [1.0] * 7}, "unit quaternion"),
     ],
 )
@@ -245,6 +261,13 @@ def test_of_fifty_calls_none_vanishes(server: Client) -> None:
     codes = [result(future).error_code for future in futures]
     assert set(codes) <= {ErrorCode.NONE, ErrorCode.BUSY}
     assert ErrorCode.NONE in codes
+
+
+def test_many_lists_at_once_are_answered_and_hold_nobody_up(server: Client) -> None:
+    futures = [server.start(ListGrippers.Request()) for _ in range(50)]
+    assert still_serves(server)
+    names = {tuple(info.name for info in result(future).grippers) for future in futures}
+    assert len(names) == 1 and "robotiq_2f85" in next(iter(names))
 
 
 @pytest.mark.parametrize("preempt", [False, True])

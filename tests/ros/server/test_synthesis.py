@@ -99,6 +99,40 @@ def test_auto_takes_the_best_of_the_rack(server: Client) -> None:
         server.parameters(rack=[""])
 
 
+@pytest.mark.parametrize(
+    ("on", "cost", "chosen"),
+    [
+        ("robotiq_2f85", 0.0, "robotiq_3f"),
+        ("robotiq_2f85", 0.1, "robotiq_2f85"),
+        ("robotiq_3f", 0.1, "robotiq_3f"),
+    ],
+)
+def test_auto_counts_the_cost_of_changing_the_tool(
+    server: Client, on: str, cost: float, chosen: str
+) -> None:
+    """The double scores robotiq_3f 0.05 higher."""
+    assert not server.parameters(rack=list(GRIPPERS), model="preferring", swap_cost=cost)
+    try:
+        assert server.set_gripper(on).success
+        answer = server.synthesize(num_grasps=1, cloud=cloud_of(server), gripper_name="auto")
+        assert answer.grasps.gripper == chosen
+        (note,) = [text for text in answer.notes if text.startswith("of the rack")]
+        assert "robotiq_3f 0.95" in note and "robotiq_2f85 0.90" in note
+        assert f"less {cost:g} for changing the tool" in note
+    finally:
+        assert not server.parameters(rack=[""], model="quick", swap_cost=0.0)
+
+
+def test_short_memory_is_met_with_fewer_poses_at_a_time(server: Client) -> None:
+    assert not server.parameters(model="short")
+    answer = server.synthesize(num_grasps=3, cloud=cloud_of(server))
+    assert answer.success, answer.error_msg
+    assert len(answer.grasps.grasps) == 3
+    assert any("8 poses were computed at a time" in note for note in answer.notes)
+    assert not server.parameters(model="quick")
+    assert not any("at a time" in n for n in server.synthesize(cloud=cloud_of(server)).notes)
+
+
 def test_poses_are_published_latched_with_the_clouds_stamp(server: Client) -> None:
     cloud = cloud_of(server)
     answer = server.synthesize(num_grasps=4, cloud=cloud)

@@ -190,3 +190,15 @@ def test_poses_go_with_the_node(state: ToolState, heard: Heard) -> None:
     assert heard.all[-2:] == ["", "hand"]
     with pytest.raises(ToolMismatchError):
         state.check(claim)
+
+
+def test_the_name_of_a_reported_tool_is_kept_short(state: ToolState) -> None:
+    """Every diagnosis tells it again."""
+    state.report("t" * 10**7)
+    assert len(state.reported or "") < 400
+    with pytest.raises(ToolMismatchError):
+        state.claim()
+    state.abandon("m" * 10**7)
+    assert len(state.reported or "") < 400
+    state.report("jaw")
+    assert state.claim().gripper is JAW

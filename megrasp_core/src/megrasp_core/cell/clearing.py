@@ -21,12 +21,29 @@ Rules, with `tries` = 3 by default:
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
 from megrasp_core.errors import InvalidRequestError
+
+FAILURES = {
+    "no_grasp": "no grasp was found",
+    "given_up": "all grasps are aimed at objects that were given up",
+    "start_collision": "the open gripper would hit something where it is to close",
+    "approach_collision": "the open gripper would hit something on its way",
+    "no_contact": "the fingers closed on nothing",
+    "unexpected_width": "the fingers stopped elsewhere than on what was seen",
+    "slipped": "it was held after closing and lost later",
+    "not_lifted": "it was held and did not come up",
+    "obstacle": "it closed on what may not be lifted",
+    "bin": "it pulled at the bin",
+    "unstable": "the simulation diverged",
+    "other": "the cell gives another reason",
+}
+"""Why an attempt failed: the one vocabulary of records and logs, with what each word means."""
 
 
 @dataclass(frozen=True)
@@ -37,13 +54,13 @@ class PickRecord:
         attempt: number, from 1.
         gripper: name.
         success: something was lifted.
-        reason: why not, "" after a success.
+        reason: why not, in the cell's own words, "" after a success.
         removed: names of the objects that are out.
         objects_left: in the bin.
         score: of the executed grasp; None where there was none.
         width: what it was to close on (m).
         width_tolerance: how well that was known (m).
-        closed_width: where the fingers stood at the end (m).
+        closed_width: where the fingers stood after closing (m).
         returned: grasps of the answer.
         synthesis_seconds: wall time of the answer.
         execution_seconds: wall time of the attempt.
@@ -78,6 +95,20 @@ class PickRecord:
         width, tolerance, closed = (float(number or 0.0) for number in numbers)
         return abs(closed - width) <= tolerance
 
+    @property
+    def failure(self) -> str:
+        """What went wrong, as a key of `FAILURES`; "" where nothing did.
+
+        Also after a success: what was lifted with the fingers elsewhere than expected is another
+        object, or more than one.
+        """
+        first = self.reason.partition(" ")[0]
+        if not self.success and first in FAILURES:
+            return first
+        if self.as_expected is False:
+            return "unexpected_width"
+        return "" if self.success else "other"
+
     def line(self) -> str:
         """One line for a terminal."""
         what = ", ".join(self.removed) if self.removed else "nothing"
@@ -87,7 +118,10 @@ class PickRecord:
             closed, width = 1000 * (self.closed_width or 0.0), 1000 * (self.width or 0.0)
             word = "as" if self.as_expected else "not as"
             fingers = f", fingers at {closed:.0f} mm ({word} expected: {width:.0f})"
-        outcome = f"lifted {what}" if self.success else f"failed ({self.reason}), removed {what}"
+        outcome = f"lifted {what}"
+        if not self.success:
+            told = self.reason if self.failure == "other" else FAILURES[self.failure]
+            outcome = f"failed ({self.failure}: {told}), removed {what}"
         return (
             f"pick {self.attempt:2d}  {self.gripper:<14s} score {score}  {outcome}{fingers}; "
             f"{self.objects_left} left  [{self.returned} grasps in {self.synthesis_seconds:.2f} "
@@ -182,6 +216,7 @@ class ClearingPlan:
         """Counts over the run and every attempt, ready for JSON."""
         successes = sum(record.success for record in self.records)
         removed = [name for record in self.records for name in record.removed]
+        failures = Counter(record.failure for record in self.records if record.failure)
         per_gripper: dict[str, dict[str, int]] = {}
         for record in self.records:
             row = per_gripper.setdefault(
@@ -200,6 +235,7 @@ class ClearingPlan:
             "successes": successes,
             "first_grasp_rate": successes / len(self.records) if self.records else None,
             "per_gripper": per_gripper,
+            "failures": dict(failures),
             "tries_an_object": self.tries,
             "ended": self.ended,
             "picks": [_json_ready(record) for record in self.records],
@@ -233,7 +269,8 @@ class ClearingPlan:
 
 def _json_ready(record: PickRecord) -> dict[str, object]:
     """The record with null for numbers that are not defined, which JSON has no word for."""
+    told = asdict(record) | {"as_expected": record.as_expected, "failure": record.failure}
     return {
         key: None if isinstance(value, float) and not math.isfinite(value) else value
-        for key, value in asdict(record).items()
+        for key, value in told.items()
     }

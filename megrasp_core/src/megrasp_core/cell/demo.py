@@ -140,10 +140,9 @@ def _attempt(
         "picture": None if shot is None else str(shot),
     }
     if chosen is None:
-        given_up = "all grasps are aimed at given-up objects"
         return PickRecord(
             success=False,
-            reason=given_up if synthesis.grasps else "no grasp found",
+            reason="given_up" if synthesis.grasps else "no_grasp",
             removed=(),
             objects_left=cell.objects_left,
             **common,

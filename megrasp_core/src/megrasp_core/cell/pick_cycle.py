@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 
 from megrasp_core.errors import CancelledError, SimulationError
 from megrasp_core.pointcloud import Cloud
-from megrasp_core.simulation import Camera, DepthNoise, Verdict, World, judge, observe
+from megrasp_core.simulation import (
+    Camera,
+    DepthNoise,
+    Reason,
+    Verdict,
+    World,
+    judge,
+    observe,
+)
 from megrasp_core.synthesizer import RankedGrasp
 
 from .rest import come_to_rest
@@ -27,7 +35,7 @@ class PickCycle:
             excluded from the next plan.
         failures: attempts without success since then; more than `failed` holds where nothing was
             found to execute.
-        joints: of the gripper at the end of the last attempt, before it left.
+        joints: of the gripper when it had closed in the last attempt; empty where it has not.
     """
 
     def __init__(self, world: World, obstacles: Collection[int] = ()) -> None:
@@ -90,10 +98,22 @@ class PickCycle:
             SimulationError: the physics diverged; the scene is as before then.
             CancelledError: of `on_phase`; the scene is as before.
         """
-        before = self.world.save()
+        before, self.joints = self.world.save(), {}
+        begun = ""
+
+        def begin(phase: str) -> None:
+            nonlocal begun
+            begun = phase
+            if phase == "lift":
+                self.joints = self.world.hand.joints()
+            if on_phase is not None:
+                on_phase(phase)
+
         try:
-            verdict = self._try(world_from_gripper, approach, opening, on_phase)
-            self.joints = self.world.hand.joints()
+            verdict = self._try(world_from_gripper, approach, opening, begin)
+            if begun == "close" and verdict.reason is not Reason.UNSTABLE:
+                # Closed on nothing that could be lifted.
+                self.joints = self.world.hand.joints()
             if verdict.success and on_phase is not None:
                 on_phase("drop")
             self.clear(verdict.lifted if verdict.success else ())

@@ -12,6 +12,7 @@ objects and calls give the same scenes and clouds.
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -78,8 +79,8 @@ class ExecutionResult:
     spilled: names of the objects that ended up outside the bin, which are taken out of the scene
     too.
     error: "" or the verdict's reason.
-    width: between the fingers at the end, with the object between them if there is one (m); NaN
-    for hands.
+    width: between the fingers after closing, with what is between them (m); NaN for hands, and
+    where the fingers have not closed.
     depth: deepest penetration of the open gripper with anything before closing (m).
     """
 
@@ -89,7 +90,7 @@ class ExecutionResult:
     objects_left: int
     error: str
     depth: float
-    width: float = float("nan")
+    width: float = math.nan
 
 
 class RobotCell:
@@ -268,8 +269,8 @@ class RobotCell:
         if self._gripper.name not in self._ways:
             self._ways[self._gripper.name] = gripper_probe(self._gripper).closing
         way = self._ways[self._gripper.name]
-        if way is None:
-            return float("nan")
+        if way is None or not joints:
+            return math.nan
         return float(np.interp(self._gripper.share_of(joints), way.shares, way.widths))
 
     def change_tool(self, name: str) -> None:

@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from .common import Flag, emit, progress_bar, say
 
+if TYPE_CHECKING:
+    from megrasp_core.evaluation.calibration import JudgedGrasps
+    from megrasp_core.network import GraspModel
+    from megrasp_core.storage import Attempt
+
 __all__ = ["calibrate"]
+
+DEFAULT = ("robotiq_2f85", "robotiq_3f", "shadow_dexee")
 
 
 def calibrate(
     out: Path,
     model: str | None = None,
-    gripper: tuple[str, ...] = ("robotiq_2f85", "robotiq_3f", "shadow_dexee"),
+    gripper: tuple[str, ...] = (),
+    attempts: Path | None = None,
     scenes: int = 20,
     judged: int = 8,
     drawn: int = 100,
@@ -26,34 +36,103 @@ def calibrate(
     Bins are cleared as in `eval --protocol binpick`, with objects that neither training nor
     evaluation draws; hands, which find little in bins, clear tables. At every stage the best
     ranked grasps are judged one by one. Kinds of grippers with grasps enough get a fit of their
-    own, which grippers of the training take; others take the one for all.
+    own, which grippers of the training take; others take the one for all. With --attempts a real
+    cell has judged the grasps (docs/attempts.md), and nothing is simulated.
 
     Try:
       megrasp calibrate --out models/megrasp-small/evaluation/calibration.json --write
+      megrasp calibrate --attempts attempts --model megrasp-small --out calibration.json
 
     Args:
         out: result file (JSON).
         model: id or folder.
-        gripper: names of grippers.
+        gripper: names of grippers; by default one of each kind, and of attempts all.
+        attempts: folder that a cell recorded into, instead of the simulation.
         scenes: bins or tables per gripper.
         judged: grasps judged per stage.
         drawn: poses drawn per synthesis.
         threads: torch threads.
-        write: put the result into the model's config.json, where every synthesis finds it.
+        write: put the result into the model's config.json, where every synthesis finds it; that
+            of attempts for the kinds of grippers that were tried.
         seed: of scenes, noise and samples.
     """
+    from megrasp_core.evaluation.attempts import recalibrated
     from megrasp_core.evaluation.calibration import calibrate as fit
-    from megrasp_core.evaluation.calibration import calibrate_kinds, judged_grasps
+    from megrasp_core.evaluation.calibration import calibrate_kinds
+    from megrasp_core.network import find_model, load_model, save_model
+
+    folder = find_model(model)
+    extra: dict[str, Any] = {}
+    if attempts is None:
+        parts = _simulated(model, gripper or DEFAULT, scenes, judged, drawn, threads, seed)
+        extra = {"seed": seed, "drawn": drawn}
+    else:
+        parts, extra = _recorded(attempts, load_model(folder), gripper)
+    calibration, report = fit(parts)
+    by_kind, reports = calibrate_kinds(parts)
+    emit({"model": folder.name, **extra, **report, "kinds": reports}, out)
+    say(
+        f"{sum(len(part.success) for part in parts)} grasps; left-out "
+        f"{'scenes' if attempts is None else 'attempts'}: log loss "
+        f"{report['held_out']['log_loss']}, AUC {report['held_out']['auc']} (confidence alone: "
+        f"{report['confidence']['log_loss']}, {report['confidence']['auc']})"
+    )
+    if write:
+        changed = load_model(folder)
+        if attempts is None:
+            changed.info = dataclasses.replace(
+                changed.info, calibration=calibration, calibration_by_kind=by_kind
+            )
+        else:
+            changed.info = recalibrated(changed.info, parts, calibration, by_kind)
+        save_model(changed, folder)
+        say(f"wrote the calibration into {folder}")
+    return 0
+
+
+def _recorded(
+    folder: Path, model: GraspModel, grippers: tuple[str, ...]
+) -> tuple[list[JudgedGrasps], dict[str, Any]]:
+    from megrasp_core.evaluation.attempts import judged_attempts
+    from megrasp_core.storage import AttemptFolder
+
+    notes: list[str] = []
+    found = AttemptFolder(folder)
+    with progress_bar(len(found.paths), "attempts") as bar:
+
+        def chosen() -> Iterator[Attempt]:
+            for attempt in found.read_all(notes):
+                bar.update()
+                if not grippers or attempt.gripper in grippers:
+                    yield attempt
+
+        try:
+            parts, quality = judged_attempts(chosen(), model, notes)
+        finally:
+            for note in notes:
+                say(note)
+    return parts, {"attempts": folder.name, "notes": notes, **quality}
+
+
+def _simulated(
+    model: str | None,
+    grippers: tuple[str, ...],
+    scenes: int,
+    judged: int,
+    drawn: int,
+    threads: int | None,
+    seed: int,
+) -> list[JudgedGrasps]:
+    from megrasp_core.evaluation.calibration import judged_grasps
     from megrasp_core.evaluation.object_pool import graspable_objects, validation_pool
     from megrasp_core.evaluation.planners import ModelPlanner
     from megrasp_core.evaluation.protocols import ProtocolSettings
     from megrasp_core.grippers import load_gripper
-    from megrasp_core.network import find_model, load_model, save_model
     from megrasp_core.synthesizer import GraspSynthesizer
 
     pool = validation_pool()
     parts = []
-    for name in gripper:
+    for name in grippers:
         loaded = load_gripper(name)
         settings = ProtocolSettings(
             protocol="declutter" if loaded.description.kind == "hand" else "binpick",
@@ -74,20 +153,4 @@ def calibrate(
                     say(f"{done} scenes: first {won}/{tried}")
 
             parts.append(judged_grasps(settings, loaded, planner, pool, usable, on_scene=tell))
-    calibration, report = fit(parts)
-    by_kind, reports = calibrate_kinds(parts)
-    folder = find_model(model)
-    emit({"model": folder.name, "seed": seed, "drawn": drawn, **report, "kinds": reports}, out)
-    say(
-        f"{sum(len(part.success) for part in parts)} grasps; left-out scenes: log loss "
-        f"{report['held_out']['log_loss']}, AUC {report['held_out']['auc']} (confidence alone: "
-        f"{report['confidence']['log_loss']}, {report['confidence']['auc']})"
-    )
-    if write:
-        loaded_model = load_model(folder)
-        loaded_model.info = dataclasses.replace(
-            loaded_model.info, calibration=calibration, calibration_by_kind=by_kind
-        )
-        save_model(loaded_model, folder)
-        say(f"wrote the calibration into {folder}")
-    return 0
+    return parts

@@ -22,6 +22,7 @@ from .data.samples import samples
 from .data.verify import verify
 from .demo import demo
 from .evaluation import evaluation
+from .explain import explain
 from .finetune import finetune
 from .gripper.fidelity import fidelity
 from .gripper.frames import frames
@@ -46,6 +47,7 @@ Command = Callable[..., int]
 COMMANDS: dict[str, Command | tuple[str, dict[str, Command]]] = {
     "demo": demo,
     "synthesize": synthesize,
+    "explain": explain,
     "serve": serve,
     "view": view,
     "gripper": (

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from megrasp_core.errors import InvalidRequestError
 
+from .clutter import clutter_rates
 from .common import Flag, emit, progress_bar, say
 from .runs import Executor, executor_of
 
@@ -20,7 +21,7 @@ __all__ = ["evaluation"]
 def evaluation(
     gripper: str,
     out: Path,
-    protocol: Literal["binpick", "declutter", "single"] = "binpick",
+    protocol: Literal["binpick", "declutter", "single", "packed", "pile"] = "binpick",
     gripper_path: Path | None = None,
     execute_with: str | None = None,
     objects: Path | None = None,
@@ -33,6 +34,9 @@ def evaluation(
     friction: float = 0.8,
     views: int = 10,
     crop_floor: Literal["known", "estimated"] | None = None,
+    engine: Literal["pybullet", "mujoco"] = "pybullet",
+    depth_noise: Literal["gaussian", "dexnet", "none"] = "gaussian",
+    picture: Path | None = None,
     model: str | None = None,
     baseline: Flag = False,
     ceiling: Flag = False,
@@ -48,7 +52,10 @@ def evaluation(
 
     In binpick, a bin of 10 objects and 2 obstacles, one noisy top-down view, the first grasp is
     executed with its approach path until the bin is empty or the robot gives up. In declutter, a
-    heap on a table, ten views. In single, one object on a table.
+    heap on a table, ten views. In single, one object on a table. packed and pile are the rounds of
+    clutter removal of VGN, GIGA and Edge-Grasp, by default in PyBullet (extra `bench`): five
+    objects, upright or dropped, one view from the side; GSR is successes / attempts, DR objects
+    removed / objects.
 
     Try:
       megrasp eval --gripper robotiq_2f85 --out binpick.json
@@ -58,6 +65,8 @@ def evaluation(
       megrasp eval --gripper franka_hand --protocol declutter --crop-floor known --out c.json
       megrasp eval --gripper robotiq_2f140 --without openings sweep --out plain.json
       megrasp eval --gripper robotiq_2f85 --ceiling --samples 0 --out ceiling.json
+      megrasp eval --gripper franka_hand --protocol packed --scenes 100 --out packed.json
+      megrasp eval --gripper franka_hand --protocol pile --engine mujoco --out pile.json
       megrasp eval --gripper robotiq_3f --execute-with robotiq_3f_cad --judged 20 --out t.json
       megrasp eval --gripper robotiq_2f85 --executor ray --workers 32 --out many.json
 
@@ -68,10 +77,11 @@ def evaluation(
         gripper_path: folder with more grippers.
         execute_with: another model of the gripper, name or folder, that executes what was planned
             for the first: `<name>_cad` is the maker's CAD, and the nearest thing to another world.
-        objects: every folder below it that holds a meta.json; by default procedural objects.
-        scenes: bins or heaps.
+        objects: every folder below it that holds a meta.json, for packed and pile every URDF file
+            where there are any; by default procedural objects.
+        scenes: bins, heaps or rounds.
         samples: poses judged one by one per scene for the unfiltered and filtered rates; 0: only
-            first grasps.
+            first grasps. Not for packed and pile.
         drawn: poses drawn per synthesis.
         returned: grasps returned per synthesis.
         judged: so many of the returned grasps are judged at every stage, for the AUC of the
@@ -82,6 +92,10 @@ def evaluation(
         views: cameras around a table; 1: one side view, 52 degrees down.
         crop_floor: cut the table from the cloud, as for planners that want segmented objects, and
             tell the planner its height and the region, or leave both to be estimated.
+        engine: of packed and pile; pybullet takes grippers whose fingers slide.
+        depth_noise: of packed and pile: 0.8 mm a point as in Edge-Grasp's simulator, that of
+            Dex-Net 2.0 as in GIGA, or none.
+        picture: PNG of the first round of packed or pile, attempt by attempt.
         model: id or folder.
         baseline: the analytic antipodal baseline instead of the model.
         ceiling: a planner that knows the true geometry and tries grasps before it names one: how
@@ -95,6 +109,7 @@ def evaluation(
         seed: of scenes, noise and samples.
     """
     from megrasp_core.evaluation.ceiling import CeilingPlanner
+    from megrasp_core.evaluation.clutter_removal.protocol import ClutterSettings
     from megrasp_core.evaluation.object_pool import graspable_objects, load_pool
     from megrasp_core.evaluation.planners import AntipodalPlanner, ModelPlanner
     from megrasp_core.evaluation.protocols import ProtocolSettings
@@ -111,11 +126,30 @@ def evaluation(
                 "expected cpu, since the processes that run the scenes have no other device. "
                 "Leave one of them out."
             )
-    settings = ProtocolSettings(
-        protocol=protocol, scenes=scenes, samples=samples, drawn=drawn, returned=returned,
-        judged=judged, possible_only=protocol == "binpick" and not count_all, friction=friction,
-        views=views, crop_floor=crop_floor, seed=seed,
-    )  # fmt: skip
+    rounds: ClutterSettings | None = None
+    settings: ProtocolSettings | None = None
+    if protocol == "packed" or protocol == "pile":
+        if ceiling or crop_floor or views != 10 or judged or count_all or spread:
+            raise InvalidRequestError(
+                f"--ceiling, --crop-floor, --views, --judged, --count-all or workers were given "
+                f"with {protocol}; expected none of them: its rounds have one side view of the "
+                "whole table, count what was executed and run in one process. Leave them out."
+            )
+        rounds = ClutterSettings(
+            scene=protocol, rounds=scenes, engine=engine, drawn=drawn, returned=returned,
+            friction=friction, noise=depth_noise, seed=seed,
+        )  # fmt: skip
+    elif picture is not None or engine != "pybullet" or depth_noise != "gaussian":
+        raise InvalidRequestError(
+            f"--picture, --engine or --depth-noise was given with {protocol}; expected them with "
+            "packed or pile. Leave them out."
+        )
+    else:
+        settings = ProtocolSettings(
+            protocol=protocol, scenes=scenes, samples=samples, drawn=drawn, returned=returned,
+            judged=judged, possible_only=protocol == "binpick" and not count_all,
+            friction=friction, views=views, crop_floor=crop_floor, seed=seed,
+        )  # fmt: skip
     paths = () if gripper_path is None else (gripper_path,)
     loaded = load_gripper(gripper, paths)
     executing = loaded if execute_with is None else load_gripper(execute_with, paths)
@@ -134,6 +168,9 @@ def evaluation(
                 settings=SynthesizerSettings().without(without),
             )
         )
+    if rounds is not None:
+        return clutter_rates(rounds, executing, planner, objects, out, picture, loaded.name)
+    assert settings is not None
     pool = load_pool(objects)
     with progress_bar(len(pool), "graspable objects") as bar:
         usable = graspable_objects(

@@ -12,7 +12,7 @@ import numpy as np
 from megrasp_core.errors import DataError, MegraspError
 
 from .common import read_region
-from .synthesize import assumed_sensor
+from .synthesis_options import assumed_sensor
 from .viewing import gravity_of, length_factor, sensor_of
 
 if TYPE_CHECKING:

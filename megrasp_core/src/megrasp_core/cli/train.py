@@ -26,8 +26,9 @@ Settings = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE [NAME=VA
 
 
 def train(
-    data: tuple[Path, ...],
     out: Path,
+    data: tuple[Path, ...] = (),
+    attempts: Path | None = None,
     resume: Flag = False,
     validation: tuple[Path, ...] = (),
     device: str = "cpu",
@@ -55,11 +56,14 @@ def train(
       megrasp train --data scenes.mgpack --out runs/small --device cuda
       torchrun --nproc-per-node 4 -m megrasp_core train --data data/scenes --out runs/small \
         --set scenes_per_step=4
+      megrasp train --heads-of megrasp-small --attempts attempts --data samples --out runs/heads
 
     Args:
+        out: checkpoint, loss curves and the averaged model.
         data: folders of `data scenes`, or device packs of `data pack`; a folder that still grows
             is read again.
-        out: checkpoint, loss curves and the averaged model.
+        attempts: folder that a real cell recorded into (docs/attempts.md); its grasps are added
+            to those of --data, for the heads alone.
         resume: go on from the checkpoint in `out`; of the other options only data, validation,
             device, processes, compiled, minutes and total poses count.
         validation: scenes of objects that training never sees; without them a tenth of the
@@ -83,12 +87,31 @@ def train(
     import torch
 
     from megrasp_core.network import load_model
-    from megrasp_core.training import Team, TrainingJob, resume_training
+    from megrasp_core.training import GRIPPERS, Team, TrainingJob, resume_training
     from megrasp_core.training import train as begin_training
     from megrasp_core.training.checkpoint import TENSORS as CHECKPOINT
 
     place = Team.launched(os.environ)
     leads = place is None or place.leads
+    if attempts is not None:
+        if heads_of is None and not resume:
+            raise InvalidRequestError(
+                "--attempts was given without --heads-of; expected the model whose confidence "
+                "learns from them. Attempts say nothing of where all grasps are."
+            )
+        if place is not None:
+            raise InvalidRequestError(
+                "--attempts was given under torchrun; expected one process, which suffices for "
+                "the heads."
+            )
+        scenes, recorded = _attempt_scenes(attempts, out)
+        data = (*data, scenes)
+        if not resume and not gripper:
+            gripper = tuple(dict.fromkeys((*GRIPPERS, *recorded)))
+    if not data:
+        raise InvalidRequestError(
+            "no --data was given; expected folders of scenes, or device packs."
+        )
     job = TrainingJob(
         data=tuple(data),
         out=out,
@@ -130,6 +153,23 @@ def train(
     if leads:
         say(f"wrote checkpoint and model to {out}; --resume goes on from there")
     return 0
+
+
+def _attempt_scenes(attempts: Path, out: Path) -> tuple[Path, list[str]]:
+    """Folder with the attempts as scenes, brought up to date, and their grippers."""
+    from megrasp_core.evaluation.attempts import require_enough
+    from megrasp_core.self_labelling.attempts import write_attempt_scenes
+    from megrasp_core.storage import AttemptFolder
+
+    notes: list[str] = []
+    folder = out / "attempts"
+    found = AttemptFolder(attempts).read_all(notes)
+    success, grippers = write_attempt_scenes(found, folder, notes)
+    for note in notes:
+        say(note)
+    require_enough(success, "training")
+    say(f"{len(success)} attempts, {int(success.sum())} of them successes")
+    return folder, grippers
 
 
 class _Display:

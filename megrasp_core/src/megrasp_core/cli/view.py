@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from .common import Flag, read_region, say
-from .synthesize import assumed_sensor
+from .synthesis_options import assumed_sensor
 from .viewing import gravity_of, length_factor, sensor_of
 
 if TYPE_CHECKING:

@@ -16,7 +16,14 @@ if TYPE_CHECKING:
     from megrasp_core.pointcloud import Cloud, OrientedBox
     from megrasp_core.synthesizer import Synthesis
 
-__all__ = ["draw_grasps", "draw_gripper", "rank_colour", "save_grasp_picture"]
+__all__ = [
+    "draw_grasps",
+    "draw_gripper",
+    "hides_inside",
+    "rank_colour",
+    "save_grasp_picture",
+    "splat_radius",
+]
 
 PANEL = (620, 560)
 HEADER = 54
@@ -105,9 +112,11 @@ def draw_grasps(
     views = _views(points, down, region)
     panels = []
     for view in views:
-        seen = np.ones(len(points), bool) if region is None else ~_in_the_way(points, region, view)
+        seen = (
+            np.ones(len(points), bool) if region is None else ~hides_inside(points, region, view)
+        )
         canvas = Canvas(view)
-        canvas.draw(points[seen], colours[seen], _splat_radius(points, view))
+        canvas.draw(points[seen], colours[seen], splat_radius(points, view))
         canvas.fill()
         behind = canvas.copy()
         if chosen is not None:
@@ -212,7 +221,7 @@ def _views(points: np.ndarray, down: np.ndarray, region: OrientedBox | None) -> 
     return views
 
 
-def _in_the_way(points: np.ndarray, region: OrientedBox, view: Projection) -> np.ndarray:
+def hides_inside(points: np.ndarray, region: OrientedBox, view: Projection) -> np.ndarray:
     """Points (N,) outside the region on the viewer's side: walls that would hide the inside."""
     local = region.local(points)
     toward = -region.rotation.T @ view.rotation[2]
@@ -224,7 +233,7 @@ def _in_the_way(points: np.ndarray, region: OrientedBox, view: Projection) -> np
     return (beyond & facing).any(axis=1)
 
 
-def _splat_radius(points: np.ndarray, view: Projection) -> float:
+def splat_radius(points: np.ndarray, view: Projection) -> float:
     """Half the spacing of the points on the screen, so that a surface closes."""
     screen = view.project(points)[:, :2].astype(int)
     occupied = len(np.unique(screen[:, 0] // 8 * 10_000 + screen[:, 1] // 8)) * 64

@@ -1,5 +1,5 @@
-"""Fits the score of a model to the verdict on its own grasps, in bins of objects that it was not
-trained on and that are not those of the final evaluation.
+"""Fits the score of a model to the verdict on its own grasps: in simulated bins of objects that it
+was not trained on and that are not those of the final evaluation, or in a real cell (attempts.py).
 """
 
 from __future__ import annotations
@@ -122,8 +122,8 @@ def calibrate(judged: Sequence[JudgedGrasps]) -> tuple[Calibration, dict[str, An
     return final, {
         "calibration": final.to_dict(),
         "grippers": {part.gripper: part.counts() for part in judged},
-        "confidence": _quality(confidence, success),
-        "held_out": _quality(held_out, success),
+        "confidence": quality(confidence, success),
+        "held_out": quality(held_out, success),
         "reliability": _reliability(held_out, success),
         "hardware": hardware(),
     }
@@ -148,7 +148,7 @@ def calibrate_kinds(
     return fitted, reports
 
 
-def _quality(probability: np.ndarray, success: np.ndarray) -> dict[str, float | None]:
+def quality(probability: np.ndarray, success: np.ndarray) -> dict[str, float | None]:
     """Mean log loss (nats) and area under the ROC curve."""
     p = np.clip(probability, 1e-4, 1 - 1e-4)
     loss = -np.where(success, np.log(p), np.log1p(-p)).mean()

@@ -13,6 +13,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 
 from megrasp_core.errors import ModelError
+from megrasp_core.machine import is_out_of_memory
 
 from .info import ModelInfo
 from .model import GraspModel
@@ -82,6 +83,9 @@ def load_model(
     result = GraspModel(info.network)
     result.info = info
     try:
+        if not (folder / WEIGHTS).is_file():
+            # Reading from a pipe would never end.
+            raise FileNotFoundError("no such file")
         weights = load_file(folder / WEIGHTS)
         result.load_state_dict(weights)
     except (OSError, SafetensorError, RuntimeError) as error:
@@ -110,6 +114,8 @@ def move_to(
     try:
         return model.to(device=torch.device(device), dtype=dtype or model.dtype)
     except (RuntimeError, AssertionError) as error:
+        if is_out_of_memory(error):
+            raise
         reason = str(error).strip().splitlines()[0]
         raise ModelError(
             f"device {device!r} cannot be used ({reason}); expected cpu or an available cuda "

@@ -4,7 +4,7 @@ from .bins import BinSettings, FoundBin, find_bin
 from .box import OrientedBox
 from .cloud import Cloud
 from .depth_image import DepthImage, DepthImageSettings
-from .depth_points import camera_matrix, depth_points, read_depth_cloud
+from .depth_points import camera_matrix, depth_cloud, depth_points, read_depth_cloud
 from .emptiness import only_support_left
 from .io import read_cloud, without_zeros, write_cloud
 from .knn import estimate_normals, neighbours, remove_outliers
@@ -46,6 +46,7 @@ __all__ = [
     "camera_matrix",
     "check_view",
     "choose_nodes",
+    "depth_cloud",
     "depth_points",
     "estimate_normals",
     "find_bin",

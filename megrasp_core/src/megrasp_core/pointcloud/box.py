@@ -11,6 +11,9 @@ from megrasp_core.errors import InvalidRequestError
 
 FloatArray = NDArray[np.float64]
 
+LARGEST = 1e6
+"""Longest edge (m)."""
+
 
 @dataclass(frozen=True, eq=False)
 class OrientedBox:
@@ -26,10 +29,10 @@ class OrientedBox:
         """Bring the fields to float64 and check them."""
         pose = np.asarray(self.world_from_box, dtype=np.float64)
         size = np.asarray(self.size, dtype=np.float64)
-        if size.shape != (3,) or not np.isfinite(size).all() or (size <= 0).any():
+        if size.shape != (3,) or not ((size > 0) & (size <= LARGEST)).all():
             raise InvalidRequestError(
                 f"box size {size.tolist()} is not usable; expected three full edges over 0, in "
-                "metres."
+                f"metres, and up to {LARGEST:.0f}."
             )
         rigid = pose.shape == (4, 4) and np.isfinite(pose).all()
         if not rigid or not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-5):
@@ -92,6 +95,18 @@ class OrientedBox:
         pose = self.world_from_box.copy()
         pose[:3, 3] += self.rotation[:, axis] * (sign * by / 2)
         return OrientedBox(pose, size)
+
+    def upright(self, up: ArrayLike) -> OrientedBox:
+        """Return the same box with its axes in an order and with signs so that the third is the
+        one that looks most along `up` (3,).
+        """
+        axis, sign = self.face_towards(up)
+        order = [(axis + 1) % 3, (axis + 2) % 3, axis]
+        pose = self.world_from_box.copy()
+        pose[:3, :3] = self.rotation[:, order]
+        if sign < 0:
+            pose[:3, [0, 2]] *= -1.0
+        return OrientedBox(pose, self.size[order])
 
     def transformed(self, target_from_world: ArrayLike) -> OrientedBox:
         """Return the same box in another frame; `target_from_world` is (4, 4) and rigid."""

@@ -52,6 +52,52 @@ def camera_matrix(fx: float, fy: float, cx: float, cy: float) -> NDArray[np.floa
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
+def depth_cloud(
+    depth: ArrayLike,
+    matrix: ArrayLike,
+    *,
+    scale: float | None = None,
+    colors: ArrayLike | None = None,
+    labels: ArrayLike | None = None,
+    what: str = "the depth image",
+) -> Cloud:
+    """A cloud in the camera's frame, whose origin is the viewpoint; pixels without a reading are
+    left out.
+
+    Args:
+        depth: (H, W) whole numbers or floats; 0, negative and not finite: no reading.
+        matrix: (3, 3) camera matrix (pixels).
+        scale: metres per unit; None: 0.001 for whole numbers, 1 for floats.
+        colors: (H * W, 3) in 0..1.
+        labels: (H, W) whole numbers: which object a pixel belongs to; 0: none.
+        what: names the image in messages.
+
+    Raises:
+        CloudError: a shape or number does not fit; no pixel has a reading.
+    """
+    image = np.asarray(depth)
+    factor = scale if scale is not None else (1.0 if image.dtype.kind == "f" else MILLIMETRES)
+    if not (np.isfinite(factor) and factor > 0):
+        raise CloudError(f"the depth scale is {factor}; expected metres per unit, over 0.")
+    points = depth_points(factor * image.astype(np.float64), matrix)
+    of = None
+    if labels is not None:
+        of = np.asarray(labels)
+        if of.dtype.kind == "f" or of.shape != image.shape:
+            raise CloudError(
+                f"the mask is {of.dtype} of {_size(of)} pixels; expected whole numbers, "
+                f"{_size(image)} as {what}: one number for each object, 0 elsewhere."
+            )
+        of = of.astype(np.int32).ravel()
+    coloured = None if colors is None else np.asarray(colors, dtype=np.float64)
+    seen = Cloud(points, coloured, np.zeros(3), of).finite()
+    if not len(seen):
+        raise CloudError(
+            f"none of the {image.size} pixels of {what} has a reading; expected depths over 0."
+        )
+    return seen
+
+
 def read_depth_cloud(
     depth: str | Path,
     matrix: ArrayLike | None = None,
@@ -88,18 +134,9 @@ def read_depth_cloud(
             f"{depth} has 8 bits a pixel; expected a depth image of 16 bits or floats. It looks "
             "like a picture of one: save the depth itself."
         )
-    factor = scale if scale is not None else (1.0 if image.dtype.kind == "f" else MILLIMETRES)
-    if not (np.isfinite(factor) and factor > 0):
-        raise CloudError(f"the depth scale is {factor}; expected metres per unit, over 0.")
-    points = depth_points(factor * image.astype(np.float64), matrix)
     colors = None if color is None else _color(Path(color), image.shape)
-    labels = None if mask is None else _labels(Path(mask), image.shape)
-    seen = Cloud(points, colors, np.zeros(3), labels).finite()
-    if not len(seen):
-        raise CloudError(
-            f"none of the {image.size} pixels of {depth} has a reading; expected depths over 0."
-        )
-    return seen
+    labels = None if mask is None else _numbers(Path(mask), "mask")[0]
+    return depth_cloud(image, matrix, scale=scale, colors=colors, labels=labels, what=str(depth))
 
 
 def _numbers(path: Path, name: str) -> tuple[NDArray, NDArray | None]:
@@ -158,11 +195,5 @@ def _color(path: Path, size: tuple[int, ...]) -> NDArray[np.float64]:
     return picture.reshape(-1, 3)
 
 
-def _labels(path: Path, size: tuple[int, ...]) -> NDArray[np.int32]:
-    labels, _ = _numbers(path, "mask")
-    if labels.dtype.kind == "f" or labels.shape != size:
-        raise CloudError(
-            f"{path} is {labels.dtype} of {labels.shape[::-1]} pixels; expected whole numbers, "
-            f"{size[1]} x {size[0]} as the depth image: one number for each object, 0 elsewhere."
-        )
-    return labels.astype(np.int32).ravel()
+def _size(image: NDArray) -> str:
+    return " x ".join(map(str, image.shape[::-1]))

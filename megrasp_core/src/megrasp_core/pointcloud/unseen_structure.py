@@ -27,6 +27,8 @@ BoolArray = NDArray[np.bool_]
 
 STEP = (0.001, 0.004)
 """Least and largest distance (m) between the points that are put in."""
+MOST = 1_000_000
+"""Points that are put in on a floor or a wall; on larger ones they lie further apart."""
 BEYOND = 0.10
 """A floor without a region reaches so far beyond what was seen (m)."""
 TOLERANCE = 0.010
@@ -221,7 +223,10 @@ def _grid(floor: Plane, footprint: FloatArray, step: float) -> FloatArray:
 
 
 def _patch(corner: FloatArray, first: FloatArray, second: FloatArray, step: float) -> FloatArray:
-    counts = [max(2, int(np.ceil(float(np.linalg.norm(edge)) / step))) for edge in (first, second)]
+    lengths = [float(np.linalg.norm(edge)) for edge in (first, second)]
+    # A region may be as large as a hall.
+    step = max(step, float(np.sqrt(lengths[0] * lengths[1] / MOST)), max(lengths) / MOST)
+    counts = [max(2, int(np.ceil(length / step))) for length in lengths]
     u, v = np.meshgrid(*((np.arange(n) + 0.5) / n for n in counts), indexing="ij")
     return corner + u.reshape(-1, 1) * first + v.reshape(-1, 1) * second
 

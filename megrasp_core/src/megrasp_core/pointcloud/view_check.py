@@ -31,6 +31,9 @@ COARSEST = 0.0005
 UPWARDS = 0.17
 """Sine of the angle by which a sensor may look up: a camera beside a low shelf."""
 
+AT_ORIGIN = 0.05
+"""A sensor this near to the origin (m) may be in a frame of its own."""
+
 UNITS = {"millimetres": (0.001, 0.0), "centimetres": (0.01, 0.5), "inches": (0.0254, 0.3)}
 """Metres per unit, and how much less often the unit is met than millimetres."""
 USUAL_WIDTH = (0.1, 1.5)
@@ -151,7 +154,9 @@ def _check_looks_down(sample: FloatArray, sensor: FloatArray, gravity: FloatArra
     if length < 1e-6 or distance < 1e-6 or view @ gravity >= -UPWARDS * length * distance:
         return
     given = _numbers(gravity)
-    camera_axes = (sample[:, 2] > sensor[2]).mean() > 0.99
+    # In a camera's frame the camera is the origin.
+    at_origin = float(np.linalg.norm(sensor)) < AT_ORIGIN
+    camera_axes = at_origin and (sample[:, 2] > sensor[2]).mean() > 0.99
     if camera_axes and gravity[2] < -0.9 * length:
         raise GravityError(
             f"gravity {given} points from the scene to the sensor: the frame seems to be a "
@@ -159,9 +164,10 @@ def _check_looks_down(sample: FloatArray, sensor: FloatArray, gravity: FloatArra
             "(0 0 1 for a camera that looks straight down), or the cloud in a frame with z up."
         )
     raise GravityError(
-        f"with gravity {given} the sensor lies below what it sees; expected a vector that points "
-        "down in the frame of the cloud. An accelerometer at rest shows up, not down: use "
-        f"{_numbers(-gravity)}. If gravity is right, check where the sensor is said to be."
+        f"with gravity {given} the sensor at {_numbers(sensor)} lies below what it sees; expected "
+        "a place over the scene, and a vector that points down in the frame of the cloud. An "
+        f"accelerometer at rest shows up, not down: use {_numbers(-gravity)}. If gravity is "
+        "right, check where the sensor is said to be."
     )
 
 

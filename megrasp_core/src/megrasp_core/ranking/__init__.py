@@ -10,6 +10,7 @@ from .check import (
     check_grasps,
     grasp_tilt,
     hits_on_the_way,
+    posed,
 )
 from .contact import Contacts, ContactSettings, ContactSurface, contact_surface, measure_contacts
 from .distance_field import DistanceField
@@ -23,7 +24,7 @@ from .probe import (
     gripper_probe,
 )
 from .rank import RankSettings, excluded, rejection_counts, score_grasps, suppress_duplicates
-from .sweep import SweepSettings, sweep_hits
+from .sweep import SweepSettings, sweep_hits, sweep_points
 
 __all__ = [
     "Calibration",
@@ -54,8 +55,10 @@ __all__ = [
     "hits_on_the_way",
     "logistic_features",
     "measure_contacts",
+    "posed",
     "rejection_counts",
     "score_grasps",
     "suppress_duplicates",
     "sweep_hits",
+    "sweep_points",
 ]

@@ -23,6 +23,7 @@ __all__ = [
     "check_grasps",
     "grasp_tilt",
     "hits_on_the_way",
+    "posed",
 ]
 
 REASONS = (

@@ -118,23 +118,16 @@ class SceneObservation:
 
     def _upright(self, region: OrientedBox) -> tuple[np.ndarray, np.ndarray]:
         """Transform into box axes with the third one up, and half sizes in that order."""
-        pose = np.asarray(region.world_from_box, dtype=np.float64)
-        up = -self.gravity if self.gravity is not None else self.sensor - pose[:3, 3]
-        along = pose[:3, :3].T @ up
-        axis = int(np.argmax(np.abs(along)))
-        order = [(axis + 1) % 3, (axis + 2) % 3, axis]
-        axes = pose[:3, :3][:, order]
-        if along[axis] < 0:
-            axes = axes * np.array([-1.0, 1.0, -1.0])
-        half = np.asarray(region.size, dtype=np.float32)[order] / 2
+        up = -self.gravity if self.gravity is not None else self.sensor - region.centre
+        box = region.upright(up)
+        half = box.size.astype(np.float32) / 2
         if not (half > 0).all():
             raise InvalidRequestError(
-                f"the region has size {np.asarray(region.size).tolist()}; expected three positive "
-                "edges (m)."
+                f"the region has size {box.size.tolist()}; expected three positive edges (m)."
             )
         box_from_world = np.eye(4)
-        box_from_world[:3, :3] = axes.T
-        box_from_world[:3, 3] = -axes.T @ pose[:3, 3]
+        box_from_world[:3, :3] = box.rotation.T
+        box_from_world[:3, 3] = -box.rotation.T @ box.centre
         return box_from_world, half
 
     def box_coordinates(self, points: np.ndarray) -> np.ndarray:
@@ -210,6 +203,16 @@ class SceneObservation:
         state[(beyond > 0) & (below_top <= 0) & ~np.isfinite(signed)] = PointState.FREE
         state[np.minimum(beyond, below_top) > s.wall_margin] = PointState.WALL
         state[-half[2] - p[:, 2] > s.floor_margin] = PointState.FLOOR
+
+    def floor_height(self, points: np.ndarray) -> np.ndarray:
+        """Height (P,) of points (P, 3) over the bin's floor or the support plane (m), negative
+        below; inf without either.
+        """
+        if self.walls:
+            return self.box_coordinates(points)[:, 2] + self._half[2]
+        if self.floor is not None:
+            return self.floor.height(points)
+        return np.full(len(points), np.inf)
 
     def structure_distance(self, points: np.ndarray) -> np.ndarray:
         """Distance (P,) of points (P, 3) to the nearest wall or floor (m), at least 0; inf without

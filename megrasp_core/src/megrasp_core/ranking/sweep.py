@@ -14,7 +14,7 @@ from .contact import Contacts
 from .observation import PointState, SceneObservation
 from .probe import GripperProbe
 
-__all__ = ["SweepSettings", "sweep_hits"]
+__all__ = ["SweepSettings", "sweep_hits", "sweep_points"]
 
 
 @dataclass(frozen=True)
@@ -64,20 +64,61 @@ def sweep_hits(
     s = settings or SweepSettings()
     hits = np.zeros(len(world_from_gripper), dtype=bool)
     rows = np.flatnonzero(np.isfinite(contacts.width))
-    path, volume = probe.closing, probe.volume
-    if path is None or volume is None or not len(rows) or not s.steps:
+    if probe.closing is None or probe.volume is None or not len(rows) or not s.steps:
         return hits
-    width, offset = contacts.width[rows].astype(float), contacts.offset[rows].astype(float)
+    poses = np.asarray(world_from_gripper)[rows]
+    _, structure, inside = _swept(observation, probe, poses, contacts.part(rows), s)
+    hits[rows] = (structure.sum(axis=2).max(axis=1) > s.max_structure) | (
+        inside.sum(axis=2).max(axis=1) > s.max_inside
+    )
+    return hits
+
+
+def sweep_points(
+    observation: SceneObservation,
+    probe: GripperProbe,
+    world_from_gripper: np.ndarray,
+    contacts: Contacts,
+    settings: SweepSettings | None = None,
+) -> np.ndarray:
+    """Where (K, 3) the fingers of one grasp hit something while they close.
+
+    Args:
+        observation: what was seen.
+        probe: the gripper at the opening that the grasp starts from.
+        world_from_gripper: (4, 4) pre-grasp.
+        contacts: of the grasp, arrays of length 1.
+        settings: see `SweepSettings`.
+    """
+    s = settings or SweepSettings()
+    if probe.closing is None or probe.volume is None or not np.isfinite(contacts.width).all():
+        return np.zeros((0, 3), dtype=np.float32)
+    points, structure, inside = _swept(
+        observation, probe, np.asarray(world_from_gripper)[None], contacts, s
+    )
+    return points[structure | inside]
+
+
+def _swept(
+    observation: SceneObservation,
+    probe: GripperProbe,
+    poses: np.ndarray,
+    contacts: Contacts,
+    s: SweepSettings,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Finger points (n, steps, P, 3) of poses (n, 4, 4) on their way, and which are in structure
+    and in bodies beside the material.
+    """
+    path, volume = probe.closing, probe.volume
+    assert path is not None and volume is not None
+    width, offset = contacts.width.astype(float), contacts.offset.astype(float)
     last = np.maximum(path.share_at(width + 2 * s.play), probe.share)
     parts = np.arange(1, s.steps + 1) / s.steps
     fingers = path.points_at(probe.share + (last - probe.share)[:, None] * parts)
-    poses = np.asarray(world_from_gripper)[rows].astype(np.float32)
+    poses = poses.astype(np.float32)
     turned = fingers @ poses[:, None, :3, :3].swapaxes(2, 3)
-    state = observation.classify((turned + poses[:, None, None, :3, 3]).reshape(-1, 3))
-    state = state.reshape(fingers.shape[:3])
+    points = turned + poses[:, None, None, :3, 3]
+    state = observation.classify(points.reshape(-1, 3)).reshape(fingers.shape[:3])
     x = np.abs(fingers[..., 0] - (volume.centre + offset)[:, None, None])
     grasped = x <= (width / 2 + s.edge)[:, None, None]
-    structure = (state >= PointState.WALL).sum(axis=2).max(axis=1)
-    inside = ((state == PointState.INSIDE) & ~grasped).sum(axis=2).max(axis=1)
-    hits[rows] = (structure > s.max_structure) | (inside > s.max_inside)
-    return hits
+    return points, state >= PointState.WALL, (state == PointState.INSIDE) & ~grasped

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hmac
 import json
 import logging
+import socket
 import threading
 import urllib.parse
 from http import HTTPStatus
@@ -27,6 +28,10 @@ LARGEST_BODY = 512 * 2**20
 PATIENCE = 30.0
 """A client that sends nothing for so long is given up (s)."""
 BUSY = 1
+BUSY_TEXT = "the planner is at work for another request. Ask again."
+LARGEST_DISCARDED = 64 * 2**20
+"""So much of a refused body is read and thrown away, since many clients look at an answer only
+after they have sent everything (bytes)."""
 
 
 class PlannerServer:
@@ -78,8 +83,8 @@ class PlannerServer:
     @property
     def address(self) -> str:
         """Where it listens, as URL."""
-        host, port = self._http.server_address[:2]
-        return f"http://{host!s}:{port}"
+        host, port = str(self._http.server_address[0]), self._http.server_address[1]
+        return f"http://{f'[{host}]' if ':' in host else host}:{port}"
 
     def serve(self) -> None:
         """Answer requests until `stop`."""
@@ -93,6 +98,17 @@ class PlannerServer:
         self._http.shutdown()
 
     # ------------------------------------------------------------ what clients ask
+
+    def comes_from_a_page(self, origin: str | None) -> bool:
+        """Whether a browser sends a request for a page of somebody else, which could press every
+        button of a planner without a token.
+        """
+        return origin is not None and not self._token
+
+    def check_free(self) -> None:
+        """Say that the planner is busy before a body is read for nothing."""
+        if self._work.locked():
+            raise _Busy(BUSY_TEXT)
 
     def allows(self, authorization: str) -> bool:
         """Whether a request's Authorization header brings the token."""
@@ -139,7 +155,7 @@ class _Turn:
 
     def __enter__(self) -> None:
         if not self._lock.acquire(blocking=False):
-            raise _Busy("the planner is at work for another request. Ask again.")
+            raise _Busy(BUSY_TEXT)
 
     def __exit__(self, *_: object) -> None:
         self._lock.release()
@@ -149,11 +165,16 @@ class _Listener(ThreadingHTTPServer):
     daemon_threads = True
     planner: PlannerServer
 
+    def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
+        self.address_family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
+        super().__init__(address, handler)
+
 
 class _Handler(BaseHTTPRequestHandler):
     server: _Listener  # type: ignore[assignment]
     timeout = PATIENCE
     protocol_version = "HTTP/1.1"
+    _read = False
 
     def do_GET(self) -> None:
         self._answer("GET")
@@ -165,12 +186,14 @@ class _Handler(BaseHTTPRequestHandler):
         LOGGER.debug("%s " + format, self.address_string(), *args)
 
     def _answer(self, method: str) -> None:
+        self._read = False
         try:
             status, content = self._outcome(method)
         except MegraspError as error:
-            status = (
-                HTTPStatus.SERVICE_UNAVAILABLE if error.code == BUSY else HTTPStatus.BAD_REQUEST
-            )
+            busy = error.code == BUSY
+            status = HTTPStatus.SERVICE_UNAVAILABLE if busy else HTTPStatus.BAD_REQUEST
+            if busy and not self._read:
+                self._discard()
             content = _error(error.code, str(error))
         except (ConnectionError, TimeoutError):
             self.close_connection = True
@@ -184,24 +207,42 @@ class _Handler(BaseHTTPRequestHandler):
     def _outcome(self, method: str) -> tuple[HTTPStatus, dict[str, Any]]:
         planner = self.server.planner
         url = urllib.parse.urlsplit(self.path)
+        if planner.comes_from_a_page(self.headers.get("Origin")):
+            return self._refused(
+                HTTPStatus.FORBIDDEN,
+                "a page in a browser asks; expected a program. Start the planner with --token and "
+                "let the page bring it.",
+            )
         if not planner.allows(self.headers.get("Authorization", "")):
-            self.close_connection = True
-            return HTTPStatus.UNAUTHORIZED, _error(
-                5, "the token is missing or wrong; expected 'Authorization: Bearer TOKEN'."
+            return self._refused(
+                HTTPStatus.UNAUTHORIZED,
+                "the token is missing or wrong; expected 'Authorization: Bearer TOKEN'.",
             )
         if (method, url.path) == ("GET", "/status"):
             return HTTPStatus.OK, planner.status()
         if (method, url.path) == ("POST", "/gripper"):
             return HTTPStatus.OK, planner.set_gripper(_object(self._body()).get("name"))
         if (method, url.path) == ("POST", "/synthesize"):
+            planner.check_free()
             given = urllib.parse.parse_qs(url.query).get("request", ["{}"])[0]
             return HTTPStatus.OK, planner.synthesize(self._body(), _object(given.encode()))
-        self.close_connection = True
-        return HTTPStatus.NOT_FOUND, _error(
-            5,
+        return self._refused(
+            HTTPStatus.NOT_FOUND,
             f"there is no {method} {url.path[:100]}; expected GET /status, POST /gripper or POST "
             "/synthesize.",
         )
+
+    def _refused(self, status: HTTPStatus, text: str) -> tuple[HTTPStatus, dict[str, Any]]:
+        self._discard()
+        return status, _error(5, text)
+
+    def _discard(self) -> None:
+        """Read a body that nobody wants; the connection ends with the answer."""
+        self.close_connection = True
+        text = self.headers.get("Content-Length", "")
+        left = min(int(text), LARGEST_DISCARDED) if text.isdecimal() else 0
+        while left > 0 and (part := self.rfile.read(min(left, 2**16))):
+            left -= len(part)
 
     def _body(self) -> bytes:
         try:
@@ -214,6 +255,7 @@ class _Handler(BaseHTTPRequestHandler):
                 f"Content-Length is {self.headers.get('Content-Length')}; expected 0 to "
                 f"{LARGEST_BODY} bytes."
             )
+        self._read = True
         body = self.rfile.read(length)
         if len(body) < length:
             raise ConnectionError("the client went away")

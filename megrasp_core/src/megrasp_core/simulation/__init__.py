@@ -1,5 +1,6 @@
 """MuJoCo simulation: worlds, the verdict on grasps, free-space trials, clutter, depth cameras."""
 
+from .assembly import Guard
 from .camera import Camera, TopDownCamera, depth_to_points, look_at, ring_cameras
 from .clutter import ClutterSettings, SettledScene, deepest_contact, settle
 from .depth_noise import EFFECTS, DepthNoise
@@ -25,6 +26,7 @@ __all__ = [
     "FreeSpaceResult",
     "FreeSpaceRig",
     "FreeSpaceSettings",
+    "Guard",
     "Light",
     "NOISES",
     "Reason",

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from .assembly import GUARD_CONTYPE, Guard
+from .assembly import Guard
 from .support import Bin
-from .world import GUARD, World, build_world
+from .world import World, build_world
 
 if TYPE_CHECKING:
     from megrasp_core.objects import ObjectModel
@@ -117,7 +117,7 @@ def settle(
     for attempt in range(1, max(1, settings.attempts) + 1):
         world.restore(start)
         world.clear_warnings()
-        _set_guard(world, True)
+        world.set_guard(True)
         scene = _settle_once(world, (area[0], area[1]), rng, settings, attempt)
         if scene.ok:
             break
@@ -139,7 +139,7 @@ def _settle_once(
     world.set_drag(settings.damping)
     _calm(world, settings)
     # Nothing may lean on a wall that will not be there.
-    _set_guard(world, False)
+    world.set_guard(False)
     _calm(world, settings)
     world.set_drag(0.0)
     shift = angle = np.inf
@@ -247,10 +247,6 @@ def park_escaped(world: World, area: tuple[float, float]) -> int:
     for index in escaped:
         world.park_object(index)
     return len(escaped)
-
-
-def _set_guard(world: World, on: bool) -> None:
-    world.model.geom_contype[world.owner == GUARD] = GUARD_CONTYPE if on else 0
 
 
 def deepest_contact(world: World) -> float:

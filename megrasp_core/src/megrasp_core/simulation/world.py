@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from megrasp_core.errors import SimulationError
 
-from .assembly import GRIPPER_PREFIX, Guard, assemble
+from .assembly import GRIPPER_PREFIX, GUARD_CONTYPE, Guard, assemble
 from .coordinates import read_pose, write_pose
 from .hand import Hand, Posture
 from .support import Bin
@@ -161,6 +161,10 @@ class World:
         self.place_object(index, pose)
         self._parked.add(index)
         self.model.body_gravcomp[self._object_body[index]] = 1.0
+
+    def set_guard(self, stands: bool) -> None:
+        """Whether the walls of `guard`, where there are any, stop objects."""
+        self.model.geom_contype[self.owner == GUARD] = GUARD_CONTYPE if stands else 0
 
     # ---------------------------------------------------------------- gripper
 

@@ -2,6 +2,7 @@
 costs a finished scene, read so that no damage goes unnoticed.
 """
 
+from .attempts import Attempt, AttemptFolder, read_attempt
 from .codec import (
     TextCodes,
     pack_positions,
@@ -43,6 +44,8 @@ from .scene_writer import SceneWriter
 from .training_scenes import TrainingScene, open_scenes
 
 __all__ = [
+    "Attempt",
+    "AttemptFolder",
     "TextCodes",
     "pack_positions",
     "pack_quaternions",
@@ -70,6 +73,7 @@ __all__ = [
     "open_scenes",
     "pack_normals",
     "packed_npz",
+    "read_attempt",
     "read_json",
     "record_problems",
     "remove_leftovers",

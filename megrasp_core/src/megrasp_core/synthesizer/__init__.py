@@ -1,6 +1,8 @@
 """`GraspSynthesizer`: load a model, set a gripper, synthesize grasps for clouds."""
 
+from .hints import sensor_doubt
 from .perception import Perceived, perceive
+from .polish import promises
 from .poses import PoseSet, pose_set
 from .repairs import backed_off
 from .request import MAX_DRAWN, MAX_GRASPS, Mode, SynthesisRequest
@@ -10,6 +12,7 @@ from .scene_judge import Assessment, SceneJudge, seen_plane
 from .selection import rank_poses
 from .settings import PolishSettings, RankingSettings, Stage, SynthesizerSettings
 from .synthesizer import GraspSynthesizer
+from .trace import Trace
 
 __all__ = [
     "MAX_DRAWN",
@@ -27,10 +30,13 @@ __all__ = [
     "SynthesisRequest",
     "Stage",
     "SynthesizerSettings",
+    "Trace",
     "backed_off",
     "draw_starts",
     "perceive",
     "pose_set",
+    "promises",
     "rank_poses",
+    "sensor_doubt",
     "seen_plane",
 ]

@@ -13,6 +13,7 @@ from megrasp_core.lie import PoseBatch
 from megrasp_core.network import GraspModel, GripperCode, SceneField
 from megrasp_core.ranking import GripperProbe
 
+from .parts import in_parts
 from .perception import Perceived
 from .poses import pose_set, scene_from_tcp, world_from_tcp
 from .scene_judge import Assessment
@@ -33,10 +34,17 @@ class Assessor:
     """Assesses poses, given as the model draws them or in the frame of the cloud."""
 
     def __init__(
-        self, model: GraspModel, mounted: MountedGripper, seen: Perceived, field: SceneField
+        self,
+        model: GraspModel,
+        mounted: MountedGripper,
+        seen: Perceived,
+        field: SceneField,
+        at_once: int | None = None,
     ) -> None:
+        """Take a scene; `at_once`: see `GraspSynthesizer.synthesize`."""
         self._model, self._mounted = model, mounted
         self._seen, self._field = seen, field
+        self._at_once = at_once
         self.confident = "confidence" in model.info.heads
         """Whether the model has a confidence."""
 
@@ -71,7 +79,11 @@ class Assessor:
         mounted, judge = self._mounted, self._seen.judge
         confidence = None
         if self.confident:
-            logit = self._model.confidence(self._field, mounted.code, poses)
+            logit = in_parts(
+                lambda rows: self._model.confidence(self._field, mounted.code, poses.part(rows)),
+                len(poses),
+                self._at_once,
+            )
             confidence = logit.sigmoid().cpu().double().numpy()
         return judge.assess(
             pose_set(tcp, mounted.gripper, judge.request),

@@ -11,15 +11,10 @@ from typing import Any, Literal
 import numpy as np
 
 from megrasp_core.errors import GravityError, InvalidRequestError
+from megrasp_core.limits import MAX_DRAWN, MAX_GRASPS
 from megrasp_core.pointcloud import OrientedBox, Plane, level_floor
 
 __all__ = ["LAYER", "MAX_DRAWN", "MAX_GRASPS", "Mode", "Prefer", "SynthesisRequest"]
-
-MAX_GRASPS = 1000
-"""Most grasps that one call returns."""
-
-MAX_DRAWN = 4096
-"""Most poses that one call draws."""
 
 Mode = Literal["default", "fast"]
 Prefer = Literal["score", "high", "clear"]

@@ -29,8 +29,9 @@ from megrasp_core.ranking import rejection_counts
 
 from .assessor import Assessor, MountedGripper
 from .hints import hints
+from .parts import in_parts
 from .perception import Perceived, perceive
-from .polish import polish
+from .polish import polish, with_rows
 from .poses import PoseSet, pose_set, world_from_tcp
 from .repairs import backed_off, turned_over
 from .request import SynthesisRequest
@@ -39,6 +40,7 @@ from .sampling import draw_starts
 from .scene_judge import Assessment
 from .selection import rank_poses
 from .settings import SynthesizerSettings
+from .trace import OnTrace, Trace
 
 __all__ = ["Cancelled", "OnPoses", "OnStep", "SynthesisRun"]
 
@@ -73,12 +75,16 @@ class SynthesisRun:
         settings: SynthesizerSettings,
         on_step: OnStep | None = None,
         on_poses: OnPoses | None = None,
+        on_trace: OnTrace | None = None,
         cancelled: Cancelled | None = None,
+        at_once: int | None = None,
     ) -> None:
         self.model, self.schedule, self.sampler = model, schedule, sampler
         self.settings, self.scene_settings = settings, scene_settings
         self.mounted, self.request = mounted, request
         self.on_step, self.on_poses, self.cancelled = on_step, on_poses, cancelled
+        self.on_trace = on_trace
+        self.at_once = at_once
         self.centroid = np.zeros(3)
         self.timing: dict[str, float] = {}
         self.notes: tuple[str, ...] = ()
@@ -96,15 +102,19 @@ class SynthesisRun:
             seen = perceive(cloud, request, self.scene_settings, ranking)
         self.notes = seen.notes
         if seen.empty:
+            self._trace(seen)
             return self._answer([], rejection_counts(np.zeros(0, "<U12")), start, empty=True)
         with self._phase("encode"):
             field = self.model.encode_scene(seen.nodes)
         self.centroid = seen.nodes.centroid
-        assessor = Assessor(self.model, self.mounted, seen, field)
+        assessor = Assessor(self.model, self.mounted, seen, field, self.at_once)
         allowed = self._at_target(seen, field)
         left_out: tuple[Assessment, np.ndarray] | None = None
         with self._phase("sample"):
-            poses = self._descend(field, allowed)
+            starts = draw_starts(
+                self.model, field, self.mounted.code, request.drawn, self.generator, allowed
+            )
+            poses = descended = self._descend(field, starts)
             if self.keep < request.drawn:
                 first = assessor.samples(poses, cheap=True)
                 if self.settings.turns and self.mounted.probe.volume is not None:
@@ -114,13 +124,14 @@ class SynthesisRun:
                 best = self._best(first)
                 left_out = first, np.setdiff1d(np.arange(request.drawn), best)
                 poses = poses.part(torch.as_tensor(best, device=poses.device))
-            poses = self._refine(field, poses)
+            poses = refined = self._refine(field, poses)
         with self._phase("rank"):
             final = backed_off(assessor.samples(poses), assessor.poses, ranking.sweep)
             final = self._polished(assessor, final)
             grasps, rejected = rank_poses(final, self.mounted.probe, request, ranking, left_out)
             parts = [(final, np.arange(len(final))), *([left_out] if left_out else [])]
             told = hints(parts, seen.judge.observation, self.mounted.probe, request)
+            self._trace(seen, starts, (descended, refined), final, left_out)
         return self._answer(grasps, rejected, start, told=told)
 
     def _answer(
@@ -169,10 +180,7 @@ class SynthesisRun:
         )
         return fine, coarse
 
-    def _descend(self, field: SceneField, allowed: tuple[Tensor, Tensor] | None) -> PoseBatch:
-        starts = draw_starts(
-            self.model, field, self.mounted.code, self.request.drawn, self.generator, allowed
-        )
+    def _descend(self, field: SceneField, starts: Tensor) -> PoseBatch:
         steps = descend(self._denoiser(field), starts, self.sampler, self.schedule, self.generator)
         return last_step(steps, self._report, self.cancelled).poses
 
@@ -186,13 +194,45 @@ class SynthesisRun:
         return last_step(later, self._report, self.cancelled).poses
 
     def _denoiser(self, field: SceneField) -> Denoise:
-        def denoise(poses: PoseBatch, s: Tensor) -> Tensor:
+        def some(poses: PoseBatch, s: Tensor) -> Tensor:
             found = self.model.predict(field, self.mounted.code, poses, s)
             if self.sampler.uses_score:
                 return torch.cat([found.residual[:, :3], found.score], dim=-1)
             return found.residual
 
+        def denoise(poses: PoseBatch, s: Tensor) -> Tensor:
+            return in_parts(lambda rows: some(poses.part(rows), s[rows]), len(poses), self.at_once)
+
         return denoise
+
+    def _trace(
+        self,
+        seen: Perceived,
+        starts: Tensor | None = None,
+        sampled: tuple[PoseBatch, PoseBatch] | None = None,
+        final: Assessment | None = None,
+        left_out: tuple[Assessment, np.ndarray] | None = None,
+    ) -> None:
+        """Tell who asked for it where the poses began, where they were sampled (after the descent
+        and, those that went on, after the restarts), and what became of each.
+        """
+        if self.on_trace is None:
+            return
+        places, drawn = np.zeros((0, 3)), np.zeros((0, 4, 4))
+        if starts is not None and sampled is not None and final is not None:
+            places = starts.cpu().double().numpy() + self.centroid
+            drawn = world_from_tcp(sampled[0], self.centroid)
+            kept = np.arange(self.request.drawn)
+            if left_out is not None:
+                kept = np.setdiff1d(kept, left_out[1])
+                final = with_rows(left_out[0], kept, final, np.arange(len(kept)))
+            drawn[kept] = world_from_tcp(sampled[1], self.centroid)
+        self.on_trace(
+            Trace(
+                self.request, seen.judge.observation, self.mounted.probe, places, drawn, final,
+                np.zeros(3),
+            )
+        )  # fmt: skip
 
     def _polished(self, assessor: Assessor, final: Assessment) -> Assessment:
         if self.request.mode != "default" or not assessor.confident:

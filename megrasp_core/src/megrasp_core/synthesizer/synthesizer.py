@@ -20,11 +20,14 @@ from megrasp_core.network import GraspModel, load_model
 from megrasp_core.pointcloud import Cloud, check_view
 from megrasp_core.ranking import GripperProbe, gripper_probe
 
-from .assessor import MountedGripper
+from .assessor import Assessor, MountedGripper
+from .perception import perceive
 from .request import SynthesisRequest
 from .result import Synthesis
 from .run import Cancelled, OnPoses, OnStep, SynthesisRun
+from .scene_judge import Assessment
 from .settings import SynthesizerSettings
+from .trace import OnTrace
 
 __all__ = ["GraspSynthesizer"]
 
@@ -131,7 +134,9 @@ class GraspSynthesizer:
         *,
         on_step: OnStep | None = None,
         on_poses: OnPoses | None = None,
+        on_trace: OnTrace | None = None,
         cancelled: Cancelled | None = None,
+        at_once: int | None = None,
         **options: Any,
     ) -> Synthesis:
         """Draw grasps for a cloud, check and rank them.
@@ -145,10 +150,13 @@ class GraspSynthesizer:
                 sample, rank.
             on_poses: called after each step of the sampler with poses as they are then: neither
                 finished nor checked, in no order.
+            on_trace: called at the end with what became of every drawn pose.
             cancelled: asked between steps.
+            at_once: poses that the network takes at a time, where memory is short; None: all.
 
         Raises:
-            InvalidRequestError, GravityError, CloudError, EmptyRegionError, CancelledError.
+            InvalidRequestError, GravityError, CloudError, EmptyRegionError, CancelledError. What
+            `is_out_of_memory` tells apart where memory is not enough.
         """
         if request is not None and options:
             raise InvalidRequestError(
@@ -169,6 +177,8 @@ class GraspSynthesizer:
             cloud, request = cloud.moved(-offset), request.moved(-offset)
             if on_poses is not None:
                 on_poses = _moved_back(on_poses, offset)
+            if on_trace is not None:
+                on_trace = _with_offset(on_trace, offset)
         with self._running():
             result = SynthesisRun(
                 self.model,
@@ -180,11 +190,38 @@ class GraspSynthesizer:
                 settings=_calibrated(self.settings, self.model, self._mounted.gripper),
                 on_step=on_step,
                 on_poses=on_poses,
+                on_trace=on_trace,
                 cancelled=cancelled,
+                at_once=at_once,
             ).run(cloud)
         if offset.any():
             result = replace(result, grasps=[grasp.moved(offset) for grasp in result.grasps])
         return result
+
+    def assess(self, cloud: Cloud, world_from_tcp: np.ndarray, **options: Any) -> Assessment:
+        """What the model and the check say of given grasps, in the order that they are given.
+
+        Args:
+            cloud: in any frame, metres.
+            world_from_tcp: (N, 4, 4) in the frame of the cloud.
+            options: the attributes of `SynthesisRequest` by name.
+
+        Raises:
+            InvalidRequestError, GravityError, CloudError, EmptyRegionError.
+        """
+        if self._mounted is None:
+            raise InvalidRequestError("no gripper is set; expected one. Call set_gripper first.")
+        request = SynthesisRequest.of(**options)
+        tcp = np.array(world_from_tcp, dtype=np.float64)
+        offset = _far_origin(cloud)
+        if offset.any():
+            cloud, request = cloud.moved(-offset), request.moved(-offset)
+            tcp[:, :3, 3] -= offset
+        with self._running():
+            seen = perceive(cloud, request, self.scene_settings, self.settings.ranking)
+            field = self.model.encode_scene(seen.nodes)
+            found = Assessor(self.model, self._mounted, seen, field).poses(tcp)
+        return replace(found, poses=found.poses.moved(offset)) if offset.any() else found
 
     @contextmanager
     def _running(self) -> Iterator[None]:
@@ -202,6 +239,10 @@ class GraspSynthesizer:
 
 def _moved_back(on_poses: OnPoses, offset: np.ndarray) -> OnPoses:
     return lambda poses: on_poses(poses.moved(offset))
+
+
+def _with_offset(on_trace: OnTrace, offset: np.ndarray) -> OnTrace:
+    return lambda trace: on_trace(replace(trace, offset=offset))
 
 
 def _far_origin(cloud: Cloud) -> np.ndarray:

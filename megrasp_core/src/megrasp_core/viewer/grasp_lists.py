@@ -53,11 +53,14 @@ def report(grasp: RankedGrasp, rank: int, of: int) -> str:
         ("score", f"{grasp.score:.2f}"),
         ("confidence of the model", _number(grasp.confidence, 1, "", 2)),
         ("width between the fingers", _number(grasp.width, 1000, "mm", 1)),
+        ("fingers start apart", _number(grasp.opening, 1000, "mm", 1)),
         ("clearance", _number(grasp.clearance, 1000, "mm", 1)),
         ("tilt", _number(math.degrees(grasp.tilt), 1, "degrees", 0)),
         ("of the gripper in unknown space", f"{100 * grasp.hidden_share:.1f} %"),
         ("TCP", f"{x:.3f} {y:.3f} {z:.3f} m"),
     ]
+    if grasp.object is not None:
+        rows.append(("object of the mask", str(grasp.object)))
     head = f"**{rank} of {of}**" + (f", rejected: **{grasp.reason}**" if grasp.reason else "")
     table = "\n".join(f"| {name} | {value} |" for name, value in rows)
     return f"{head}\n\n| | |\n|---|---|\n{table}"

@@ -14,6 +14,7 @@ import numpy as np
 from megrasp_core.drawing.grasp_picture import draw_grasps, rank_colour
 from megrasp_core.drawing.splat import height_colours
 from megrasp_core.errors import InvalidRequestError, MegraspError
+from megrasp_core.explanation import setup_findings
 from megrasp_core.meshes import joined
 from megrasp_core.pointcloud import Cloud, OrientedBox
 from megrasp_core.synthesizer import (
@@ -251,6 +252,8 @@ class SceneViewer:
         ]
         if answer.bin_empty:
             lines = ["nothing to grasp: only the support surface is left", *answer.notes]
+        if not answer.grasps:
+            lines += [*setup_findings(self.cloud, asked).told, *answer.hints]
         self.status.content = "\n\n".join(lines)
         return answer
 

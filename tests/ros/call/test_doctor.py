@@ -1,0 +1,205 @@
+"""Every kind of trouble that doctor knows, made with real nodes."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from cell_processes import WAIT, in_executor, own_domain, spinning_node, until
+from megrasp_msgs.msg import ErrorCode, GraspArray
+from rclpy.lifecycle import LifecycleNode
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from server_client import Client, camera, cloud_of, still_serves, table_points
+from std_msgs.msg import String
+
+from megrasp_ros.call.app import run
+from megrasp_ros.call.server_checks import ServerChecks
+from megrasp_ros.client import GraspClient
+from megrasp_ros.qos import SENSOR
+
+FOUND = dict[str, tuple[str, str]]
+
+
+def looked_at(
+    offset: int = 1, *, points: str = "points", namespace: str = "", patience: float = 20.0
+) -> FOUND:
+    """What -> level and text."""
+    with GraspClient.open(
+        "doctor", domain_id=own_domain(offset), namespace=namespace, timeout=20.0
+    ) as client:
+        checks = ServerChecks(client, "grasp_server", points, 2.0, patience).run()
+    return {check.what: (check.level, check.text) for check in checks}
+
+
+def troubles(found: FOUND) -> dict[str, str]:
+    return {what: level for what, (level, _) in found.items() if level != "ok"}
+
+
+@contextmanager
+def set_to(server: Client, before: dict, **values):
+    """Parameters of the server, set back at the end."""
+    assert not server.parameters(**values)
+    try:
+        yield
+    finally:
+        assert not server.parameters(**before)
+
+
+def test_all_is_well(server: Client, monkeypatch, capsys, tmp_path) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(own_domain(1)))
+    with (
+        set_to(server, {"cloud_timeout": 0.7}, cloud_timeout=30.0),
+        camera(server, table_points()),
+    ):
+        found = looked_at()
+        assert not troubles(found), found
+        assert "active" in found["server"][1] and "robotiq_2f85" in found["health"][1]
+        assert "/points: " in found["points"][1] and " MB" in found["points"][1]
+        code = run(
+            ["doctor", "--seconds", "2", "--timeout", "30", "--out", str(tmp_path / "doctor.json")]
+        )
+        told = capsys.readouterr().out
+    assert code == (1 if "\nfail " in f"\n{told}" else 0)
+    for what in ("packages", "shared memory", "domain", "discovery", "Fast DDS", "gravity"):
+        assert what in told
+    assert (tmp_path / "doctor.json").stat().st_size > 500
+
+
+def test_no_server_at_all_and_one_elsewhere() -> None:
+    found = looked_at(6, patience=1.0)
+    assert found["server"][0] == "fail" and "no other node is seen" in found["server"][1]
+    assert found["points"][0] == "fail"
+    with spinning_node(own_domain(6), "camera"):
+        assert "but /camera; start it" in looked_at(6, patience=5.0)["server"][1]
+    with spinning_node(own_domain(6), "grasp_server"):
+        found = looked_at(6, namespace="/cell_2", patience=5.0)
+        assert found["server"] == (
+            "fail", "no grasp_server in namespace /cell_2, but in /; give --namespace /"
+        )  # fmt: skip
+        # It is there and no lifecycle node.
+        with GraspClient.open("doctor", domain_id=own_domain(6), timeout=0.5) as client:
+            (line,) = ServerChecks(client, "grasp_server", "points", 1.0, 20.0).server()
+        assert line.level == "fail" and "does not tell its state" in line.text
+
+
+def test_a_server_that_is_not_active_or_of_another_version() -> None:
+    with spinning_node(own_domain(6), "other") as other:
+        stranger = LifecycleNode("grasp_server", context=other.context)
+        assert other.executor is not None
+        other.executor.add_node(stranger)
+        found = looked_at(6)
+        assert found["server"][0] == "fail" and "is unconfigured" in found["server"][1]
+        in_executor(other, stranger.trigger_configure)
+        in_executor(other, stranger.trigger_activate)
+        found = looked_at(6)
+        assert found["server"][0] == "ok"
+        assert found["health"][0] == "warn"
+        assert found["clock" if "clock" in found else "parameters"][0] == "fail"
+        assert "of this version" in found["parameters"][1]
+        twin = LifecycleNode("grasp_server", context=other.context)
+        other.executor.add_node(twin)
+        assert "2 nodes are named /grasp_server" in looked_at(6)["server"][1]
+        for node in (stranger, twin):
+            other.executor.remove_node(node)
+            node.destroy_node()
+
+
+def test_what_the_server_says_of_itself(server: Client) -> None:
+    assert not server.parameters(model="damaged")
+    answer = server.synthesize(num_grasps=1, cloud=cloud_of(server))
+    assert answer.error_code == ErrorCode.MODEL_NOT_LOADED
+    try:
+        level, text = looked_at()["health"]
+        assert level == "fail" and "does not fit" in text
+    finally:
+        assert not server.parameters(model="quick")
+    assert still_serves(server)
+
+
+def test_no_cloud_where_the_server_looks(server: Client) -> None:
+    assert "nobody publishes /points; start the camera" in looked_at(patience=5.0)["points"][1]
+    elsewhere = server.node.create_publisher(PointCloud2, "camera/points", SENSOR)
+    try:
+        level, text = looked_at(patience=5.0)["points"]
+        assert level == "fail" and "points:=/camera/points" in text
+        # A publisher that publishes nothing.
+        level, text = looked_at(points="camera/points")["points"]
+        assert level == "fail" and "no cloud came in 2 s" in text
+    finally:
+        in_executor(server.node, lambda: server.node.destroy_publisher(elsewhere))
+
+
+def test_another_type_on_the_topic() -> None:
+    with spinning_node(own_domain(6), "talker") as talker:
+        talker.create_publisher(String, "points", 1)
+        level, text = looked_at(6)["points"]
+        assert level == "fail" and "carries std_msgs/msg/String" in text
+
+
+def test_depth_images_and_their_camera() -> None:
+    with (
+        spinning_node(own_domain(6), "camera") as camera,
+        GraspClient.open("doctor", domain_id=own_domain(6)) as client,
+    ):
+        checks = ServerChecks(client, "grasp_server", "points", 1.0, 2.0)
+        camera.create_publisher(Image, "depth", SENSOR)
+        assert checks.images()[0].text.startswith("nobody publishes /camera_info;")
+        camera.create_publisher(CameraInfo, "camera_info", SENSOR)
+        assert until(lambda: checks.images()[0].level == "ok", WAIT)
+
+
+def test_slow_old_and_early_clouds(server: Client) -> None:
+    with camera(server, table_points(500), rate=1.0):
+        level, text = looked_at()["points"]
+        assert level == "warn" and "cloud_timeout is 0.7 s" in text
+    with camera(server, table_points(500), age=60.0):
+        level, text = looked_at()["stamps"]
+        assert level == "fail" and "cloud_max_age is 5 s" in text
+    with camera(server, table_points(500), age=-60.0):
+        level, text = looked_at()["stamps"]
+        assert level == "fail" and "ahead of this machine's clock" in text
+
+
+def test_a_clock_that_stands_still(server: Client) -> None:
+    with set_to(server, {"use_sim_time": False}, use_sim_time=True):
+        level, text = looked_at()["clock"]
+    assert level == "fail" and "nobody publishes /clock" in text
+
+
+@pytest.mark.parametrize(
+    ("parameters", "frame", "scale", "what", "expected"),
+    [
+        ({}, "", 1.0, "frame", "frame_id is empty"),
+        ({"planning_frame": "base"}, "cam", 1.0, "frame", "extrinsics: [x, y, z"),
+        ({}, "camera_color_optical_frame", 1.0, "gravity", "gravity: [0.0, 0.0, 1.0]"),
+        ({}, "world", 1000.0, "view", "expected metres"),
+        ({"gravity": [0.0, 0.0, 1.0]}, "world", 1.0, "view", "points down"),
+        ({"region__size": [0.1, 0.1, 0.1], "region__pose": [5.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]},
+         "world", 1.0, "region", "no point lies in it"),
+        ({"region__size": [0.02, 0.02, 0.02]}, "world", 1.0, "region", "only"),
+    ],
+)  # fmt: skip
+def test_frames_gravity_units_region(
+    server: Client, parameters: dict, frame: str, scale: float, what: str, expected: str
+) -> None:
+    before = {
+        "planning_frame": "", "gravity": [0.0] * 3, "region__size": [0.0] * 3,
+        "region__pose": [0.0] * 6 + [1.0], "sensor_origin": [0.0] * 3,
+    }  # fmt: skip
+    origin = np.array([0.0, 0.0, 0.6])
+    with (
+        set_to(server, before, sensor_origin=origin.tolist(), **parameters),
+        camera(server, scale * table_points(), frame=frame),
+    ):
+        level, text = looked_at()[what]
+    assert level == ("warn" if expected == "only" else "fail") and expected in text
+
+
+def test_a_listener_that_misses_what_was_latched(server: Client) -> None:
+    deaf = server.node.create_subscription(GraspArray, "grasps", lambda message: None, 1)
+    try:
+        assert until(lambda: looked_at().get("listeners", ("ok",))[0] == "warn", WAIT)
+        assert "durability volatile" in looked_at()["listeners"][1]
+    finally:
+        in_executor(server.node, lambda: server.node.destroy_subscription(deaf))
