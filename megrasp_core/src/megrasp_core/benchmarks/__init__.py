@@ -6,5 +6,6 @@
 - `ros`: starts the program of the ROS package that measures grasp_server.
 - `trial_profile`, `rate_tables`, `data_plan`: where the time of a trial goes, tables, core-hours
   of a large data set.
+- `checkout`: older checkouts that some of them compare with.
 - `object_pieces`: convex pieces of prepared objects against those of others.
 """

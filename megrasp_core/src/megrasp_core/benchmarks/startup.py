@@ -15,6 +15,8 @@ from typing import Any
 from megrasp_core.errors import DataError, InvalidRequestError
 from megrasp_core.machine import processor
 
+from .checkout import commit_of
+
 __all__ = ["bench_startup", "startup_table"]
 
 PROGRAMS = {
@@ -86,7 +88,7 @@ def bench_startup(
         )
     return {
         "stage": "startup",
-        "against": _commit(against),
+        "against": commit_of(against),
         "repeats": repeats,
         "cpu_seconds": rows,
         "hardware": processor(),
@@ -132,12 +134,3 @@ def _cpu_seconds(program: str, tree: Path) -> float:
         )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-
-
-def _commit(checkout: Path) -> str:
-    done = subprocess.run(
-        ["git", "-C", str(checkout), "rev-parse", "--short", "HEAD"],
-        capture_output=True,
-        text=True,
-    )
-    return done.stdout.strip() or "unknown"

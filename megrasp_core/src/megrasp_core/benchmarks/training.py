@@ -18,6 +18,8 @@ import numpy as np
 from megrasp_core.errors import DataError, InvalidRequestError
 from megrasp_core.machine import processor
 
+from .checkout import commit_of
+
 GRIPPERS_A_SCENE, POSES, LABELLED = 4, 192, 24
 """The batch: one scene, so many of its grippers, noisy and labelled poses of each."""
 
@@ -143,7 +145,7 @@ def bench_training(
         "network": "small",
         "batch": [GRIPPERS_A_SCENE, POSES],
         "scenes": len(scenes),
-        "against": _commit(against),
+        "against": commit_of(against),
         "poses_per_cpu_second": {name: [round(r, 1) for r in found[name]] for name in found},
         "ratio": {
             name: round(rate / median["before"], 3)
@@ -202,12 +204,3 @@ def _timed(contestant: Contestant, data: Path, scenes: Sequence[str], steps: int
         )
     result = json.loads(done.stdout.splitlines()[-1])
     return result["poses"] / result["cpu_seconds"]
-
-
-def _commit(checkout: Path) -> str:
-    done = subprocess.run(
-        ["git", "-C", str(checkout), "rev-parse", "--short", "HEAD"],
-        capture_output=True,
-        text=True,
-    )
-    return done.stdout.strip() or "unknown"
