@@ -38,7 +38,7 @@ def own_domain(offset: int) -> int:
     """A ROS domain of this test session and worker, apart from those of others on the machine.
 
     Args:
-        offset: 1 to 7, another one for everything that runs at the same time in one worker.
+        offset: 1 to 8, another one for everything that runs at the same time in one worker.
     """
     worker = os.environ.get("PYTEST_XDIST_WORKER")
     run = os.getpid() if worker is None else os.getppid()

@@ -16,7 +16,12 @@ from megrasp_core.network import PRESETS, GraspModel
 from megrasp_core.objects import ObjectSet, procedural_names, procedural_object
 from megrasp_core.pointcloud import SceneSettings
 from megrasp_core.scenes import SceneConfig
-from megrasp_core.self_labelling.rollouts import STAGES, RolloutSettings, label_rollouts
+from megrasp_core.self_labelling.rollouts import (
+    ON_TABLES,
+    STAGES,
+    RolloutSettings,
+    label_rollouts,
+)
 from megrasp_core.storage import Kind, SceneDataset
 from megrasp_core.synthesizer import GraspSynthesizer
 from megrasp_core.training import SceneSource, TrainConfig, read_entries
@@ -56,6 +61,15 @@ def test_every_stage_is_a_scene_with_the_grasps_that_were_tried(folder):
         assert (labels.object >= 0).all() and (labels.object < len(record.object_names)).all()
         assert record.obstacle.any() and len(record.obstacle) == len(record.object_poses)
         assert record.bin is not None and len(record.points) > 500
+
+
+def test_tables(tmp_path, synthesizer):
+    config = dataclasses.replace(ON_TABLES, objects=(1, 2))
+    settings = dataclasses.replace(SETTINGS, max_stages=1, scenes=config)
+    assert label_rollouts(tmp_path, synthesizer, OBJECTS, [5], settings) == 1
+    record = SceneDataset(tmp_path)[0]
+    assert record.bin is None and not record.obstacle.any()
+    assert len(record.labels["robotiq_2f85"])
 
 
 def test_a_finished_bin_is_not_made_again(folder, synthesizer):

@@ -67,11 +67,13 @@ def test_all_is_well(server: Client, monkeypatch, capsys, tmp_path) -> None:
 
 
 def test_no_server_at_all_and_one_elsewhere() -> None:
-    found = looked_at(6, patience=1.0)
+    found = looked_at(8, patience=1.0)
     assert found["server"][0] == "fail" and "no other node is seen" in found["server"][1]
     assert found["points"][0] == "fail"
     with spinning_node(own_domain(6), "camera"):
-        assert "but /camera; start it" in looked_at(6, patience=5.0)["server"][1]
+        # A client of the test before may still be seen.
+        text = looked_at(6, patience=5.0)["server"][1]
+        assert "but /camera" in text and "; start it" in text
     with spinning_node(own_domain(6), "grasp_server"):
         found = looked_at(6, namespace="/cell_2", patience=5.0)
         assert found["server"] == (

@@ -1,4 +1,5 @@
-"""Bins that the model itself clears: every stage becomes a scene with labels of its own grasps.
+"""Bins and tables that the model itself clears: every stage becomes a scene with labels of its own
+grasps.
 
 What a confidence has to tell apart are the grasps that come out of the whole synthesis, in the
 states that executing them leads to: half-empty bins, obstacles, what failed before.
@@ -17,7 +18,14 @@ from megrasp_core.errors import EmptyRegionError, SimulationError
 from megrasp_core.lie import pose7_from_matrix
 from megrasp_core.objects import ObjectSet
 from megrasp_core.pointcloud import Cloud, surface_cloud
-from megrasp_core.scenes import GRAVITY, SceneConfig, draw_layout, region_of, scene_cameras
+from megrasp_core.scenes import (
+    GRAVITY,
+    SceneConfig,
+    ViewShares,
+    draw_layout,
+    region_of,
+    scene_cameras,
+)
 from megrasp_core.simulation import DepthNoise, Verdict, World, build_world
 from megrasp_core.storage import (
     GripperLabels,
@@ -30,7 +38,15 @@ from megrasp_core.storage import (
 from megrasp_core.synthesizer import GraspSynthesizer, RankedGrasp
 
 STAGES = 100
-"""Seeds of the records of one bin: seed * STAGES + stage."""
+"""Seeds of the records of one scene: seed * STAGES + stage."""
+
+
+IN_BINS = SceneConfig(
+    grippers=(), objects=(2, 11), bin_share=1.0, bin_spread=0.05, obstacle_share=0.85
+)
+ON_TABLES = SceneConfig(
+    grippers=(), objects=(2, 11), bin_share=0.0, obstacle_share=0.0, views=ViewShares(dense=0.6)
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,10 +56,10 @@ class RolloutSettings:
     Attributes:
         judged: best ranked grasps tried at every stage.
         rejected: at most so many that fail the check are tried as well.
-        max_stages: of a bin.
-        max_failures: in a row, after which a bin is given up.
+        max_stages: of a scene.
+        max_failures: in a row, after which a scene is given up.
         drawn: poses of a synthesis.
-        scenes: what the bins are like.
+        scenes: what they are like. In bins the approach must be free, on tables only the start.
     """
 
     judged: int = 10
@@ -51,20 +67,16 @@ class RolloutSettings:
     max_stages: int = 14
     max_failures: int = 3
     drawn: int = 100
-    scenes: SceneConfig = dataclasses.field(
-        default_factory=lambda: SceneConfig(
-            grippers=(), objects=(2, 11), bin_share=1.0, bin_spread=0.05, obstacle_share=0.85
-        )
-    )
+    scenes: SceneConfig = IN_BINS
 
 
 def roll_out(
     seed: int, synthesizer: GraspSynthesizer, objects: ObjectSet, settings: RolloutSettings
 ) -> list[SceneRecord]:
-    """Clear one bin with the synthesizer's gripper and return a labelled record for every stage.
+    """Clear one scene with the synthesizer's gripper and return a labelled record for every stage.
 
     Raises:
-        SimulationError: the bin does not come to rest.
+        SimulationError: the scene does not come to rest.
     """
     gripper = synthesizer.gripper
     assert gripper is not None
@@ -78,7 +90,8 @@ def roll_out(
         obstacles=obstacles,
         object_poses=layout.matrices,
     )
-    camera = scene_cameras(seed, config, in_bin=True)[0]
+    in_bin = layout.bin is not None
+    cameras = scene_cameras(seed, config, in_bin=in_bin)
     rng = np.random.default_rng([seed, 4])
     region = region_of(layout.bin, config)
     cycle = PickCycle(world, obstacles)
@@ -87,7 +100,7 @@ def roll_out(
         if not cycle.left:
             break
         present = sorted(world.present)
-        cloud = cycle.look(camera, DepthNoise(), rng)
+        cloud = cycle.look(cameras, DepthNoise(), rng)
         grasps = synthesizer.synthesize(
             cloud,
             num_grasps=settings.drawn,
@@ -104,7 +117,7 @@ def roll_out(
         if others:
             picked = rng.permutation(len(others))[: settings.rejected]
             chosen = chosen + [others[i] for i in picked]
-        verdicts = [cycle.verdict(grasp) for grasp in chosen]
+        verdicts = [cycle.verdict(grasp, approach=in_bin) for grasp in chosen]
         records.append(
             dataclasses.replace(
                 _seen(seed * STAGES + len(records), layout.object_names, world, cloud, config),
@@ -115,7 +128,7 @@ def roll_out(
         )
         if not passing:
             break
-        cycle.execute(passing[0])
+        cycle.execute(passing[0], approach=in_bin)
     return records
 
 
@@ -126,17 +139,17 @@ def label_rollouts(
     seeds: Iterable[int],
     settings: RolloutSettings | None = None,
     *,
-    on_bin: Callable[[int, int, int], None] | None = None,
+    on_scene: Callable[[int, int, int], None] | None = None,
 ) -> int:
-    """Write the stages of many bins as a data set; resumable bin by bin.
+    """Write the stages of many scenes as a data set; resumable scene by scene.
 
     Args:
         out: data set folder.
         synthesizer: model with a gripper.
-        objects: what the bins are filled from.
-        seeds: one bin each.
+        objects: what the scenes are filled from.
+        seeds: one scene each.
         settings: amounts.
-        on_bin: called with the seed, and successes and labels so far.
+        on_scene: called with the seed, and successes and labels so far.
 
     Returns:
         Number of stages written.
@@ -157,14 +170,14 @@ def label_rollouts(
                 records = roll_out(seed, synthesizer, objects, settings)
             except (SimulationError, EmptyRegionError):
                 continue
-            # The first stage marks the bin as done, so it goes last.
+            # The first stage marks the scene as done, so it goes last.
             for record in reversed(records):
                 writer.add(record)
                 won += sum(int(part.label.sum()) for part in record.labels.values())
                 tried += sum(len(part) for part in record.labels.values())
             written += len(records)
-            if on_bin is not None:
-                on_bin(seed, won, tried)
+            if on_scene is not None:
+                on_scene(seed, won, tried)
     finally:
         writer.close()
     return written

@@ -14,6 +14,7 @@ def rollouts(
     out: Path,
     model: str | None = None,
     gripper: str = "robotiq_2f85",
+    tables: bool = False,
     bins: int = 40,
     drawn: int = 100,
     judged: int = 10,
@@ -21,20 +22,22 @@ def rollouts(
     threads: int | None = None,
     seed: int = 7000,
 ) -> int:
-    """Bins that the model clears itself; its own grasps at every stage, labelled in simulation.
+    """Bins or tables that the model clears itself; its own grasps at every stage, labelled.
 
-    Filled with the training objects (scans where MEGRASP_ASSETS is set, and procedural ones).
+    Labelled in simulation. Filled with the training objects (scans where MEGRASP_ASSETS is set, and procedural ones).
     Resumable: run it again to go on.
 
     Try:
       megrasp data rollouts --model runs/small/model --out data/rollouts
+      megrasp data rollouts --gripper allegro_hand --tables --bins 10 --out data/rollouts_allegro
       megrasp train --data data/rollouts --heads-of runs/small/model --out runs/heads
 
     Args:
-        out: data set folder; every stage of a bin becomes a scene.
+        out: data set folder; every stage of a bin or table becomes a scene.
         model: id or folder.
         gripper: name, or folder of a gripper.yaml.
-        bins: how many.
+        tables: heaps on tables instead of bins, as hands need.
+        bins: how many, or how many tables.
         drawn: poses drawn per synthesis.
         judged: best ranked grasps tried at every stage.
         procedural: procedural objects among those that bins are filled from.
@@ -44,24 +47,31 @@ def rollouts(
     if bins < 1:
         raise InvalidRequestError(f"--bins {bins} was given; expected at least 1.")
     from megrasp_core.objects import training_objects
-    from megrasp_core.self_labelling.rollouts import RolloutSettings, label_rollouts
+    from megrasp_core.self_labelling.rollouts import (
+        IN_BINS,
+        ON_TABLES,
+        RolloutSettings,
+        label_rollouts,
+    )
     from megrasp_core.synthesizer import GraspSynthesizer
 
-    with progress_bar(bins, "bins") as bar:
+    with progress_bar(bins, "tables" if tables else "bins") as bar:
 
         def tell(number: int, won: int, tried: int) -> None:
             bar.update(number - seed + 1 - bar.n)
             bar.set_postfix(successes=f"{won}/{tried}")
             if bar.disable and (number - seed) % 5 == 4:
-                say(f"{number - seed + 1}/{bins} bins, {won} successes of {tried} labels")
+                say(f"{number - seed + 1}/{bins} scenes, {won} successes of {tried} labels")
 
         written = label_rollouts(
             out,
             GraspSynthesizer.load(model, gripper, threads=threads),
             training_objects(procedural),
             range(seed, seed + bins),
-            RolloutSettings(judged=judged, drawn=drawn),
-            on_bin=tell,
+            RolloutSettings(
+                judged=judged, drawn=drawn, scenes=ON_TABLES if tables else IN_BINS
+            ),
+            on_scene=tell,
         )
     say(f"wrote {written} stages to {out}")
     return 0
