@@ -24,7 +24,8 @@ def rollouts(
 ) -> int:
     """Bins or tables that the model clears itself; its own grasps at every stage, labelled.
 
-    Labelled in simulation. Filled with the training objects (scans where MEGRASP_ASSETS is set, and procedural ones).
+    Labelled in simulation. Filled with the training objects (scans where MEGRASP_ASSETS is set,
+    and procedural ones).
     Resumable: run it again to go on.
 
     Try:
