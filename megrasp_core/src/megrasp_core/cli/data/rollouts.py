@@ -69,9 +69,7 @@ def rollouts(
             GraspSynthesizer.load(model, gripper, threads=threads),
             training_objects(procedural),
             range(seed, seed + bins),
-            RolloutSettings(
-                judged=judged, drawn=drawn, scenes=ON_TABLES if tables else IN_BINS
-            ),
+            RolloutSettings(judged=judged, drawn=drawn, scenes=ON_TABLES if tables else IN_BINS),
             on_scene=tell,
         )
     say(f"wrote {written} stages to {out}")
