@@ -16,7 +16,14 @@ if TYPE_CHECKING:
 
 __all__ = ["calibrate"]
 
-DEFAULT = ("robotiq_2f85", "robotiq_3f", "shadow_dexee")
+DEFAULT = (
+    "robotiq_2f85",
+    "franka_hand",
+    "robotiq_3f",
+    "allegro_hand",
+    "shadow_hand_3f",
+    "shadow_dexee",
+)
 
 
 def calibrate(
@@ -46,7 +53,7 @@ def calibrate(
     Args:
         out: result file (JSON).
         model: id or folder.
-        gripper: names of grippers; by default one of each kind, and of attempts all.
+        gripper: names of grippers; by default six of all kinds, and of attempts all.
         attempts: folder that a cell recorded into, instead of the simulation.
         scenes: bins or tables per gripper.
         judged: grasps judged per stage.
