@@ -269,7 +269,7 @@ class LiveCloud:
         return Outcome(f"{told}; {done.objects_left} objects left")
 
     def _sensed(self) -> Sensed:
-        settings = self.settings
+        settings, self._count = self.settings, self._source.count
         if self._source.silence > settings.cloud_timeout:
             # The camera has stopped: what is kept is not what it sees.
             self._sensing.rest()
@@ -297,7 +297,6 @@ class LiveCloud:
             raise GravityError(f"{error} Here: --gravity X Y Z, or --frame.") from error
         if self._following:
             self.follow()
-        self._count = self._source.count
         return sensed
 
     def _offered(self, name: str) -> bool:
