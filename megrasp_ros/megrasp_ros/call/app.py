@@ -13,14 +13,17 @@ from tyro.extras import SubcommandApp
 
 from megrasp_core.errors import MegraspError
 from megrasp_ros.calling import GraspServerError
+from megrasp_ros.errors import NoCloudError
 
 from .commands import list_grippers, set_gripper, synthesize, watch
 from .doctor import doctor
+from .view import view
 
 DESCRIPTION = """Ask a running grasp_server, from a machine with or without the `ros2` command.
 
 Try: megrasp_call doctor
      megrasp_call synthesize -n 20 --out grasps.json
+     megrasp_call view --follow
 
 ROS_DOMAIN_ID and --namespace say which server. Exit codes: 0 done; 1 ran, but found nothing or
 failed; 2 bad input."""
@@ -47,6 +50,7 @@ def run(args: Sequence[str]) -> int:
         "list": list_grippers,
         "watch": watch,
         "doctor": doctor,
+        "view": view,
     }
     for name, command in commands.items():
         app.command(command, name=name)  # type: ignore[call-overload]
@@ -60,7 +64,7 @@ def run(args: Sequence[str]) -> int:
         return 2 if error.code in BAD_INPUT else 1
     except (MegraspError, OSError) as error:
         sys.stderr.write(f"megrasp_call: {error}\n")
-        return 2
+        return 1 if isinstance(error, NoCloudError) else 2
     except (KeyboardInterrupt, ExternalShutdownException):
         sys.stderr.write("megrasp_call: stopped\n")
         return 1

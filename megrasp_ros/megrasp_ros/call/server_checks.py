@@ -9,6 +9,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from numpy.typing import NDArray
 from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
@@ -167,17 +168,11 @@ class ServerChecks:
 
     def cloud(self) -> list[Check]:
         """Whether usable clouds come: publisher, type, QoS, rate, size, age."""
-        place = self._node.get_namespace()
-        try:
-            listened = self._node.get_subscriber_names_and_types_by_node(self._server, place)
-        except Exception:
-            listened = []
-        # While it is subscribed, the server itself tells which topic it was remapped to.
-        topic = next((name for name, kinds in listened if CLOUD in kinds), self._points)
+        topic = heard_cloud(self._node, self._server) or self._points
         self._until(lambda: bool(self._node.get_publishers_info_by_topic(topic)), self._patience)
         publishers = self._node.get_publishers_info_by_topic(topic)
         if not publishers:
-            others = self._other_clouds(topic)
+            others = other_clouds(self._node, self._server, topic)
             hint = (
                 f"; clouds are on {', '.join(others[:5])}: start the server with -r "
                 f"points:={others[0]}, and doctor with --points {others[0]}"
@@ -221,19 +216,6 @@ class ServerChecks:
             text = f"nobody publishes {', '.join(missing())}; start the camera, or remap them"
             return [Check("images", "fail", text)]
         return [Check("images", "ok", ", ".join(topics))]
-
-    def _other_clouds(self, topic: str) -> list[str]:
-        """Topics with clouds that somebody else than the server publishes."""
-        return sorted(
-            name
-            for name, kinds in self._node.get_topic_names_and_types()
-            if CLOUD in kinds
-            and name != topic
-            and any(
-                info.node_name != self._server
-                for info in self._node.get_publishers_info_by_topic(name)
-            )
-        )
 
     def _rate(self, topic: str, sample: Sample) -> Check:
         rate = len(sample.sizes) / sample.seconds
@@ -337,6 +319,28 @@ class ServerChecks:
         if not self._node.context.ok():
             raise ExternalShutdownException
         time.sleep(seconds)
+
+
+def heard_cloud(node: Node, server: str) -> str:
+    """The topic that the server has clouds from, "" while it is not subscribed: itself it tells
+    which one it was remapped to.
+    """
+    try:
+        listened = node.get_subscriber_names_and_types_by_node(server, node.get_namespace())
+    except Exception:
+        return ""
+    return next((name for name, kinds in listened if CLOUD in kinds), "")
+
+
+def other_clouds(node: Node, server: str, topic: str) -> list[str]:
+    """Topics with clouds, but `topic`, that somebody else than the server publishes."""
+    return sorted(
+        name
+        for name, kinds in node.get_topic_names_and_types()
+        if CLOUD in kinds
+        and name != topic
+        and any(info.node_name != server for info in node.get_publishers_info_by_topic(name))
+    )
 
 
 def _heard(topic: str, offered: QoSProfile, info) -> Check | None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -73,10 +73,12 @@ class _View:
 class Sensing:
     """The sensors of a node; the parameter `input` says which one counts."""
 
-    def __init__(self, node: Node, frames: FrameSource) -> None:
+    def __init__(self, node: Node, frames: FrameSource, points: str = "points") -> None:
+        """`points`: the topic with clouds."""
         self._node, self._frames = node, frames
         self._stamps = StampCheck(node)
-        self._sources = {"points": SensorSource(node, POINTS), "depth": SensorSource(node, DEPTH)}
+        clouds = tuple(replace(topic, name=points) for topic in POINTS)
+        self._sources = {"points": SensorSource(node, clouds), "depth": SensorSource(node, DEPTH)}
 
     def source(self, name: str) -> SensorSource:
         """Return the sensor of this value of the parameter `input`."""

@@ -82,7 +82,7 @@ class SynthesisRunner:
             target=request.target,
             on_arrived=lambda: step("perceive", 0, 1, None),
         )
-        options = self._options(job, request, settings, sensed.gravity)
+        options = options_of(request, settings, sensed.gravity)
         results = [
             (
                 gripper,
@@ -90,6 +90,7 @@ class SynthesisRunner:
                     gripper,
                     sensed.cloud,
                     exclude=exclude,
+                    cancelled=job.should_stop,
                     **self._told(gripper, sensed.header, request.seed, step),
                     **options,
                 ),
@@ -146,29 +147,28 @@ class SynthesisRunner:
 
         return {"on_step": on_step, "on_poses": on_poses}
 
-    def _options(
-        self, job: Job, request: ParsedRequest, settings: Settings, gravity: FloatArray
-    ) -> dict[str, Any]:
-        return {
-            "num_grasps": request.num_grasps,
-            "drawn": max(settings.drawn, request.num_grasps),
-            "gravity": gravity,
-            "region": request.region,
-            "walls": settings.region_walls,
-            "floor": settings.floor,
-            "assume_empty": settings.assume_empty,
-            "max_tilt": request.max_tilt if request.max_tilt < np.pi else None,
-            "approach_distance": settings.approach_distance,
-            "approach_direction": settings.approach_direction,
-            "exclude_radius": request.exclude_radius,
-            "target": request.target,
-            "min_score": request.min_score,
-            "mode": request.mode,
-            "prefer": request.prefer,
-            # The core's seeds have one bit less than those of the message.
-            "seed": request.seed & SEED_MASK,
-            "cancelled": job.should_stop,
-        }
+
+def options_of(request: ParsedRequest, settings: Settings, gravity: FloatArray) -> dict[str, Any]:
+    """Return the attributes of the core's SynthesisRequest; the poses to exclude are left out."""
+    return {
+        "num_grasps": request.num_grasps,
+        "drawn": max(settings.drawn, request.num_grasps),
+        "gravity": gravity,
+        "region": request.region,
+        "walls": settings.region_walls,
+        "floor": settings.floor,
+        "assume_empty": settings.assume_empty,
+        "max_tilt": request.max_tilt if request.max_tilt < np.pi else None,
+        "approach_distance": settings.approach_distance,
+        "approach_direction": settings.approach_direction,
+        "exclude_radius": request.exclude_radius,
+        "target": request.target,
+        "min_score": request.min_score,
+        "mode": request.mode,
+        "prefer": request.prefer,
+        # The core's seeds have one bit less than those of the message.
+        "seed": request.seed & SEED_MASK,
+    }
 
 
 def _compared(

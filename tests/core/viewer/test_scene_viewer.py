@@ -126,6 +126,31 @@ def test_a_wrong_request_is_told_on_the_page(bench: Bench) -> None:
     assert viewer.synthesize() is not None
 
 
+def test_following_leaves_alone_what_is_looked_at(bench: Bench) -> None:
+    viewer, before = bench.viewer, bench.heights[0]
+
+    def height() -> float:
+        return viewer.cloud.points[:, 2].max()
+
+    viewer.refresh()
+    bench.heights[0] = 0.07
+    viewer.follow()
+    assert height() == pytest.approx(0.07)
+    viewer.spaces["seen"].value = True
+    bench.heights[0] = 0.08
+    viewer.follow()
+    assert height() == pytest.approx(0.07), "its known space is shown"
+    viewer.spaces["seen"].value = False
+    viewer.follow()
+    assert height() == pytest.approx(0.08) and viewer.space is None
+    assert viewer.synthesize() is not None
+    bench.heights[0] = before
+    viewer.follow()
+    assert height() == pytest.approx(0.08) and viewer.lists is not None
+    viewer.refresh()
+    assert height() == pytest.approx(before)
+
+
 def test_executing_asks_for_another_cloud(bench: Bench) -> None:
     viewer = bench.viewer
     viewer.gripper.value = "robotiq_3f"

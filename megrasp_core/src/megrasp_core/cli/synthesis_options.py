@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from megrasp_core.pointcloud import Cloud, Plane
     from megrasp_core.synthesizer import GraspSynthesizer, SynthesisRequest
 
-__all__ = ["SynthesisOptions", "assumed_sensor", "with_bar"]
+__all__ = ["SynthesisOptions", "assumed_sensor", "floor_of", "with_bar"]
 
 Answer = TypeVar("Answer")
 
@@ -136,7 +136,7 @@ class SynthesisOptions:
             gravity=down,
             region=box,
             walls=walls,
-            floor=_floor(self.floor),
+            floor=floor_of(self.floor),
             assume_empty=self.assume_empty,
             max_tilt=self.max_tilt,
             approach_distance=self.approach_distance,
@@ -254,7 +254,12 @@ def _read_views(paths: tuple[Path, ...], frame: str, factor: float, *, given: bo
     return functools.reduce(Cloud.joined, clouds)
 
 
-def _floor(numbers: tuple[float, ...] | None) -> Plane | float | None:
+def floor_of(numbers: tuple[float, ...] | None) -> Plane | float | None:
+    """The surface that --floor gives: its height (m) of one number, else a plane of four.
+
+    Raises:
+        InvalidRequestError: they are no plane.
+    """
     if numbers is None or len(numbers) == 1:
         return None if numbers is None else numbers[0]
     from megrasp_core.pointcloud import Plane

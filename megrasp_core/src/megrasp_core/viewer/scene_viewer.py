@@ -151,6 +151,21 @@ class SceneViewer:
         """Ask the source for another cloud and draw it; grasps of the old one go."""
         self._guarded(self._refresh)
 
+    def follow(self) -> None:
+        """Draw another cloud, unless there is more to look at than the cloud: grasps, known space
+        or a message stay until `refresh`.
+        """
+        with self._lock:
+            shown = any(switch.value for switch in self.spaces.values())
+            if self.lists is not None or shown or self.status.content != self._size():
+                return
+            try:
+                self.cloud, self.space = self._source(), None
+                self._draw_cloud()
+                self.status.content = self._size()
+            except MegraspError as error:
+                self.status.content = f"**{error}**"
+
     # --- panel -------------------------------------------------------------------------------
 
     def _build_panel(self, grippers: list[str]) -> None:
