@@ -13,6 +13,7 @@ from made_attempts import NAME, made_attempt
 
 from megrasp_core.cli.app import main
 from megrasp_core.errors import InvalidRequestError
+from megrasp_core.diffusion import SamplerSettings
 from megrasp_core.evaluation.attempts import judged_attempts, recalibrated, require_enough
 from megrasp_core.evaluation.calibration import JudgedGrasps, calibrate
 from megrasp_core.grippers import load_gripper
@@ -48,7 +49,9 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small model that was never trained."""
     torch.manual_seed(0)
     fresh = GraspModel(PRESETS["tiny"], model_id="fresh")
-    fresh.info = dataclasses.replace(fresh.info, heads=("confidence",))
+    fresh.info = dataclasses.replace(
+        fresh.info, heads=("confidence",), sampler=SamplerSettings(steps=7)
+    )
     return save_model(fresh, tmp_path_factory.mktemp("models") / "fresh")
 
 
@@ -200,6 +203,7 @@ def test_the_confidence_learns_from_attempts(recorded: Path, model: Path, tmp_pa
     )  # fmt: skip
     assert code == 0
     before, after = load_model(model), load_model(out / "model")
+    assert after.info.sampler == before.info.sampler
     same = before.state_dict()
     assert all(
         torch.equal(value, same[name])

@@ -226,6 +226,7 @@ def _config(
             config,
             network=heads_of.config,
             model_id=model_id or heads_of.model_id,
+            sampler=heads_of.info.sampler,
             train_only="heads",
             graspability_weight=0.0,
             confidence_weight=1.0,
