@@ -12,8 +12,8 @@ import torch
 from made_attempts import NAME, made_attempt
 
 from megrasp_core.cli.app import main
-from megrasp_core.errors import InvalidRequestError
 from megrasp_core.diffusion import SamplerSettings
+from megrasp_core.errors import InvalidRequestError
 from megrasp_core.evaluation.attempts import judged_attempts, recalibrated, require_enough
 from megrasp_core.evaluation.calibration import JudgedGrasps, calibrate
 from megrasp_core.grippers import load_gripper
