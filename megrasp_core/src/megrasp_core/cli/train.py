@@ -197,8 +197,8 @@ class _Display:
             self._last = time.monotonic()
             values = ", ".join(f"{k} {v:.3f}" for k, v in sorted(run.averages.items()))
             say(
-                f"step {counters.steps}, {counters.poses} of {run.config.total_poses} poses, "
-                f"{counters.cpu_seconds:.0f} CPU-s: {values}"
+                f"step {counters.steps}, {counters.planned(run.config)} of "
+                f"{run.config.total_poses} poses, {counters.cpu_seconds:.0f} CPU-s: {values}"
             )
 
 

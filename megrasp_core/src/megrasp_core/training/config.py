@@ -175,10 +175,13 @@ class Counters:
     skipped: int = 0
     """Steps whose gradient was no finite number; they changed nothing and count no poses."""
 
+    def planned(self, config: TrainConfig) -> int:
+        """The poses that the plan counts, so far."""
+        return self.labelled_poses if config.heads_only else self.poses
+
     def progress(self, config: TrainConfig) -> float:
         """Share of the plan that is done, 0 to 1."""
-        done = self.labelled_poses if config.heads_only else self.poses
-        return min(1.0, done / config.total_poses)
+        return min(1.0, self.planned(config) / config.total_poses)
 
 
 def rate_factor(counters: Counters, config: TrainConfig) -> float:
