@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .common import Flag, emit, progress_bar, say
+from .runs import executor_of
 
 if TYPE_CHECKING:
     from megrasp_core.evaluation.calibration import JudgedGrasps
@@ -35,6 +36,7 @@ def calibrate(
     judged: int = 8,
     drawn: int = 100,
     threads: int | None = None,
+    workers: int = 1,
     write: Flag = False,
     seed: int = 41,
 ) -> int:
@@ -58,7 +60,8 @@ def calibrate(
         scenes: bins or tables per gripper.
         judged: grasps judged per stage.
         drawn: poses drawn per synthesis.
-        threads: torch threads.
+        threads: torch threads; one a process where several run the scenes, without it.
+        workers: processes that run the scenes.
         write: put the result into the model's config.json, where every synthesis finds it; that
             of attempts for the kinds of grippers that were tried.
         seed: of scenes, noise and samples.
@@ -71,7 +74,9 @@ def calibrate(
     folder = find_model(model)
     extra: dict[str, Any] = {}
     if attempts is None:
-        parts = _simulated(model, gripper or DEFAULT, scenes, judged, drawn, threads, seed)
+        parts = _simulated(
+            model, gripper or DEFAULT, scenes, judged, drawn, threads, workers, seed
+        )
         extra = {"seed": seed, "drawn": drawn}
     else:
         parts, extra = _recorded(attempts, load_model(folder), gripper)
@@ -128,6 +133,7 @@ def _simulated(
     judged: int,
     drawn: int,
     threads: int | None,
+    workers: int,
     seed: int,
 ) -> list[JudgedGrasps]:
     from megrasp_core.evaluation.calibration import judged_grasps
@@ -137,6 +143,7 @@ def _simulated(
     from megrasp_core.grippers import load_gripper
     from megrasp_core.synthesizer import GraspSynthesizer
 
+    spread = None if workers == 1 else executor_of("local", None, workers)
     pool = validation_pool()
     parts = []
     for name in grippers:
@@ -159,5 +166,9 @@ def _simulated(
                 if bar.disable and done % 5 == 0:
                     say(f"{done} scenes: first {won}/{tried}")
 
-            parts.append(judged_grasps(settings, loaded, planner, pool, usable, on_scene=tell))
+            parts.append(
+                judged_grasps(
+                    settings, loaded, planner, pool, usable, executor=spread, on_scene=tell
+                )
+            )
     return parts

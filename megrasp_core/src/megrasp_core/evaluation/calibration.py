@@ -4,19 +4,21 @@ was not trained on and that are not those of the final evaluation, or in a real 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from megrasp_core.grippers import Gripper
+from megrasp_core.jobs import ExecutorConfig
 from megrasp_core.objects import ObjectModel
 from megrasp_core.ranking import Calibration, fit_calibration, logistic_features
 
 from .planners import Planner
-from .protocols import ProtocolSettings, run_scene
-from .report import hardware
+from .protocols import ProtocolSettings, SceneOutcome, run_scene
+from .report import hardware, run_scenes
 from .statistics import roc_auc
 
 FOLDS = 5
@@ -64,6 +66,7 @@ def judged_grasps(
     pool: Sequence[ObjectModel],
     graspable: Sequence[int],
     *,
+    executor: ExecutorConfig | None = None,
     on_scene: Callable[[int, int, int], None] | None = None,
 ) -> JudgedGrasps:
     """Run a protocol and judge `settings.judged` grasps of every stage.
@@ -74,17 +77,29 @@ def judged_grasps(
         planner: the model.
         pool: objects to draw from.
         graspable: indices of those that the gripper can hold.
+        executor: how the scenes are spread; by default one after another, in this process.
         on_scene: called with bins done, successes and trials of the first grasps so far.
+
+    Raises:
+        SimulationError: a scene could not be run.
+        KeyboardInterrupt: the run was stopped.
     """
-    rows: list[tuple[int, Any, bool]] = []
     won = tried = 0
-    for index in range(settings.scenes):
-        outcome = run_scene(settings, gripper, planner, pool, graspable, index)
-        rows += [(index, grasp, success) for grasp, success, _ in outcome.ranked]
-        won += sum(success for success, _ in outcome.first)
-        tried += len(outcome.first)
+
+    def tell(outcomes: Mapping[int, SceneOutcome], latest: SceneOutcome) -> None:
+        nonlocal won, tried
+        won += sum(success for success, _ in latest.first)
+        tried += len(latest.first)
         if on_scene is not None:
-            on_scene(index + 1, won, tried)
+            on_scene(len(outcomes), won, tried)
+
+    run = functools.partial(run_scene, settings, gripper, planner, pool, graspable)
+    outcomes = run_scenes(run, settings.scenes, executor, tell)
+    rows = [
+        (index, grasp, success)
+        for index, outcome in outcomes.items()
+        for grasp, success, _ in outcome.ranked
+    ]
     confidence = np.array([grasp.confidence for _, grasp, _ in rows])
     return JudgedGrasps(
         gripper.name,

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -155,11 +155,10 @@ def evaluate(
         SimulationError: a scene could not be run.
         KeyboardInterrupt: the run was stopped; rates of some scenes are not those of all.
     """
-    outcomes: dict[int, SceneOutcome] = {}
     search = GraspSearch(gripper) if settings.possible_only else None
     run = functools.partial(run_scene, settings, gripper, planner, pool, graspable, search=search)
 
-    def result() -> EvaluationResult:
+    def result(outcomes: Mapping[int, SceneOutcome]) -> EvaluationResult:
         return EvaluationResult(
             settings,
             planned_for or gripper.name,
@@ -168,29 +167,55 @@ def evaluate(
             len(pool),
             len(graspable),
             objects,
-            tuple(outcomes[index] for index in sorted(outcomes)),
+            tuple(outcomes.values()),
             executor,
         )
 
+    def tell(outcomes: Mapping[int, SceneOutcome], _: SceneOutcome) -> None:
+        if on_scene is not None:
+            on_scene(len(outcomes), result(outcomes))
+
+    return result(run_scenes(run, settings.scenes, executor, tell))
+
+
+def run_scenes(
+    run: Callable[[int], SceneOutcome],
+    count: int,
+    executor: ExecutorConfig | None,
+    on_scene: Callable[[Mapping[int, SceneOutcome], SceneOutcome], None],
+) -> dict[int, SceneOutcome]:
+    """The outcomes of scenes by number, in order.
+
+    Args:
+        run: one scene by its number; picklable where the executor has several processes.
+        count: of scenes.
+        executor: how they are spread; None: one after another, in this process.
+        on_scene: called with all outcomes so far, in order, and the latest.
+
+    Raises:
+        SimulationError: a scene could not be run.
+        KeyboardInterrupt: the run was stopped; rates of some scenes are not those of all.
+    """
+    outcomes: dict[int, SceneOutcome] = {}
+
     def take(index: int, outcome: SceneOutcome) -> None:
         outcomes[index] = outcome
-        if on_scene is not None:
-            on_scene(len(outcomes), result())
+        on_scene(dict(sorted(outcomes.items())), outcome)
 
     if executor is None:
-        for index in range(settings.scenes):
+        for index in range(count):
             take(index, run(index))
-        return result()
+        return outcomes
     summary = run_units(
         run,
-        range(settings.scenes),
+        range(count),
         executor,
         on_result=take,
         on_progress=_go_on_without_failures,
     )
     if summary.cancelled:
         raise KeyboardInterrupt
-    return result()
+    return dict(sorted(outcomes.items()))
 
 
 def _go_on_without_failures(progress: Progress) -> None:
