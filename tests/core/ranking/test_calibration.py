@@ -40,6 +40,13 @@ def test_few_grasps_leave_the_confidence_nearly_as_it_is():
     assert abs(found.tilt) < 0.05 and abs(found.hidden) < 0.01
 
 
+def test_chance_does_not_make_tilt_hidden_share_or_contact_an_advantage():
+    odd = Calibration(bias=0.4, confidence=0.8, tilt=3.0, hidden=0.7, clearance=-90.0)
+    found = fit_calibration(*drawn(odd, 2000))
+    assert found.tilt == found.hidden == found.clearance == 0.0
+    assert found.confidence == pytest.approx(0.8, abs=0.2)
+
+
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
 def test_the_default_is_the_confidence_itself(confidence, tilt):
     features = logistic_features(

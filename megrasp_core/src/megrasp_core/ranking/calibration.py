@@ -86,6 +86,9 @@ def fit_calibration(
 ) -> Calibration:
     """Fit by maximum likelihood with a ridge towards the plain confidence.
 
+    Confidence and clearance never lower the probability, tilt and hidden share never raise it:
+    where a fit to few grasps says otherwise, it is chance.
+
     Args:
         features: (N, 4), see `logistic_features`.
         success: (N,) bool.
@@ -114,6 +117,7 @@ def fit_calibration(
         value = np.sum(np.logaddexp(0.0, z) - y * z) + 0.5 * np.sum(strength * (w - prior) ** 2)
         return float(value), x.T @ (p - y) + strength * (w - prior)
 
-    w = minimize(loss, prior, jac=True, method="L-BFGS-B").x
+    bounds = [(0.0, None), (None, 0.0), (None, 0.0), (0.0, None), (None, None)]
+    w = minimize(loss, prior, jac=True, method="L-BFGS-B", bounds=bounds).x
     values = dict(zip(FEATURES, (w[:-1] / scale).tolist()))
     return Calibration(bias=float(w[-1]), **values)
