@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.client import Client
 from rclpy.context import Context
-from rclpy.executors import MultiThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -173,7 +173,8 @@ def server_process(
             context = rclpy.Context()
             rclpy.init(context=context)
         node = Node("trial", namespace=namespace, context=context)
-        executor = MultiThreadedExecutor(num_threads=2, context=context)
+        # Of one thread: send_in_executor relies on it.
+        executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
         ended = threading.Event()
         spinner = threading.Thread(target=spin, args=(executor, ended.is_set))

@@ -28,7 +28,7 @@ from rclpy.action import ActionClient
 
 from megrasp_core.machine import processor
 from megrasp_ros.process import StopSignals, run_program
-from megrasp_ros.waiting import wait_for_future
+from megrasp_ros.waiting import send_in_executor
 
 from .camera import picture, region_parameters
 from .malformed import malformed_request
@@ -75,20 +75,15 @@ class Soak:
             self.seconds.append(time.monotonic() - started)
 
     def _goal(self, cancel_after: float | None) -> None:
-        context = self._server.node.context
-        handle = wait_for_future(
-            self._action.send_goal_async(GenerateGrasps.Goal(num_grasps=20)),
-            ANSWER,
-            context=context,
-        )
+        node, goal = self._server.node, GenerateGrasps.Goal(num_grasps=20)
+        handle = send_in_executor(node, lambda: self._action.send_goal_async(goal), ANSWER)
         if handle is None or not handle.accepted:
             self._note("generate_grasps", None)
             return
-        asked = handle.get_result_async()
         if cancel_after is not None:
             time.sleep(cancel_after)
-            handle.cancel_goal_async()
-        answer = wait_for_future(asked, ANSWER, context=context)
+            send_in_executor(node, handle.cancel_goal_async, ANSWER)
+        answer = send_in_executor(node, handle.get_result_async, ANSWER)
         self._note("generate_grasps", answer.result if answer is not None else None)
 
     def _note(self, what: str, answer: Any) -> None:

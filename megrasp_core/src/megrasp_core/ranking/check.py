@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .boxes import inside_bounds, posed_box_bounds
 from .observation import PointState, SceneObservation
 from .probe import GripperProbe, gripper_probe
 
@@ -236,13 +237,11 @@ def _clearance(
     and floor.
     """
     field = probe.field
-    x, y, z = scene = observation.surface_points.T
+    scene = observation.surface_points.T
     result = np.full(len(poses), field.limit, dtype=np.float32)
     for i, pose in enumerate(poses):
         rotation, origin = pose[:3, :3].astype(np.float32), pose[:3, 3].astype(np.float32)
-        low, high = origin - field.reach, origin + field.reach
-        near = (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1])
-        near &= (z > low[2]) & (z < high[2])
+        near = inside_bounds(scene, *posed_box_bounds(pose, field.low, field.high))
         result[i] = field.least(rotation.T @ (scene[:, near] - origin[:, None]))
     structure = observation.structure_distance(points.reshape(-1, 3))
     nearest = structure.reshape(points.shape[:2]).min(axis=1, initial=np.inf)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from .boxes import inside_bounds, posed_box_bounds
 from .probe import ClosingVolume
 
 __all__ = ["ContactSettings", "ContactSurface", "Contacts", "contact_surface", "measure_contacts"]
@@ -143,9 +144,8 @@ def measure_contacts(
     count = np.zeros(n, dtype=np.int32)
     high = volume.high.copy()
     high[2] -= s.tip_clear
-    reach = np.float32(np.linalg.norm(np.maximum(np.abs(volume.low), np.abs(high))))
     for i, pose in enumerate(np.asarray(world_from_gripper)):
-        points = _inside(surface.points, pose, volume.low, high, reach)[0]
+        points = _inside(surface.points, pose, volume.low, high)[0]
         count[i] = len(points)
         if len(points) < s.min_points:
             continue
@@ -153,7 +153,7 @@ def measure_contacts(
         top = np.percentile(points[:, 2], s.percentile)
         # The trimmed extent of evenly spread points is short by the trimmed share.
         width = (right - left) / (1 - 0.02 * s.percentile)
-        nodes, index = _inside(surface.node_points, pose, volume.low, high, reach)
+        nodes, index = _inside(surface.node_points, pose, volume.low, high)
         normals = surface.node_normals[index] @ pose[:3, :3].astype(np.float32)
         out["width"][i] = width
         core = np.percentile(points[:, 0], [5 * s.percentile, 100 - 5 * s.percentile])
@@ -175,20 +175,14 @@ _EMPTY = {
 
 
 def _inside(
-    points: np.ndarray, pose: np.ndarray, low: np.ndarray, high: np.ndarray, reach: np.float32
+    points: np.ndarray, pose: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points within the box in the gripper frame, and their indices."""
-    origin = pose[:3, 3].astype(np.float32)
-    # A cheap box in the scene's axes first: only a few percent of the points are near one gripper.
-    low_corner, high_corner = origin - reach, origin + reach
-    x, y, z = points.T
-    near = (x > low_corner[0]) & (x < high_corner[0]) & (y > low_corner[1])
-    near &= (y < high_corner[1]) & (z > low_corner[2]) & (z < high_corner[2])
-    index = np.flatnonzero(near)
-    local = pose[:3, :3].T.astype(np.float32) @ (points.T[:, index] - origin[:, None])
-    x, y, z = local
-    ok = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
-    ok &= (z >= low[2]) & (z <= high[2])
+    # In the scene's axes first: only a few percent of the points are near one gripper.
+    index = np.flatnonzero(inside_bounds(points.T, *posed_box_bounds(pose, low, high)))
+    from_origin = points.T[:, index] - pose[:3, 3, None].astype(np.float32)
+    local = pose[:3, :3].T.astype(np.float32) @ from_origin
+    ok = inside_bounds(local, low, high)
     return local[:, ok].T, index[ok]
 
 

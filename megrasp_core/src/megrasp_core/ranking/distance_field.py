@@ -47,10 +47,9 @@ class DistanceField:
         return cls(low.astype(np.float32), spacing, values, limit)
 
     @property
-    def reach(self) -> float:
-        """Largest distance of the grid from the origin of the gripper frame (m)."""
-        high = self.low + self.spacing * np.array(self.values.shape)
-        return float(np.linalg.norm(np.maximum(np.abs(self.low), np.abs(high))))
+    def high(self) -> np.ndarray:
+        """(3,) float32, the corner of the grid opposite to `low` (m)."""
+        return self.low + np.float32(self.spacing) * np.array(self.values.shape, np.float32)
 
     def least(self, points: np.ndarray) -> float:
         """Least distance of points (3, P) float32 in the gripper frame, `limit` without any (m).
