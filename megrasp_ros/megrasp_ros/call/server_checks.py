@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -56,7 +57,8 @@ class ServerChecks:
         server: name of its node.
         points: topic that clouds are expected on.
         seconds: how long topics are listened to.
-        patience: longest wait (s) for nodes and topics to be discovered.
+        patience: longest wait (s), from the first check on, for nodes and topics to be discovered;
+            a quarter of it is left to every later one.
     """
 
     def __init__(
@@ -64,6 +66,7 @@ class ServerChecks:
     ) -> None:
         self._client, self._node = client, client.node
         self._server, self._seconds, self._patience = server, seconds, patience
+        self._started = time.monotonic()
         self._points = self._node.resolve_topic_name(points)
         self._settings: Settings | None = None
         self._cloud: PointCloud2 | None = None
@@ -90,7 +93,7 @@ class ServerChecks:
             nodes = self._node.get_node_names_and_namespaces()
             return [place for name, place in nodes if name == self._server]
 
-        self._until(lambda: namespace in named(), self._patience)
+        self._until(lambda: namespace in named())
         places = named()
         if namespace not in places:
             return [Check("server", "fail", self._absence(namespace, places))]
@@ -143,7 +146,7 @@ class ServerChecks:
             heard.extend(status for status in message.status if status.name == full)
 
         self._node.create_subscription(DiagnosticArray, "/diagnostics", take, 10)
-        self._until(lambda: bool(heard), self._patience)
+        self._until(lambda: bool(heard))
         if not heard:
             return [Check("health", "warn", f"nothing of {full} on /diagnostics; is it stuck?")]
         status = heard[-1]
@@ -169,7 +172,7 @@ class ServerChecks:
     def cloud(self) -> list[Check]:
         """Whether usable clouds come: publisher, type, QoS, rate, size, age."""
         topic = heard_cloud(self._node, self._server) or self._points
-        self._until(lambda: bool(self._node.get_publishers_info_by_topic(topic)), self._patience)
+        self._until(lambda: bool(self._node.get_publishers_info_by_topic(topic)))
         publishers = self._node.get_publishers_info_by_topic(topic)
         if not publishers:
             others = other_clouds(self._node, self._server, topic)
@@ -211,7 +214,7 @@ class ServerChecks:
         def missing() -> list[str]:
             return [name for name in topics if not self._node.get_publishers_info_by_topic(name)]
 
-        self._until(lambda: not missing(), self._patience)
+        self._until(lambda: not missing())
         if missing():
             text = f"nobody publishes {', '.join(missing())}; start the camera, or remap them"
             return [Check("images", "fail", text)]
@@ -310,8 +313,9 @@ class ServerChecks:
         wrong = [check for check in found if check is not None]
         return wrong or [Check("listeners", "ok", "all hear what they subscribe to")]
 
-    def _until(self, done, seconds: float) -> None:
-        end = time.monotonic() + seconds
+    def _until(self, done: Callable[[], bool]) -> None:
+        """Wait for what the network has yet to tell: who has listened for long has heard it."""
+        end = max(self._started + self._patience, time.monotonic() + self._patience / 4)
         while not done() and time.monotonic() < end:
             self._pause(0.05)
 

@@ -20,6 +20,9 @@ from megrasp_ros.qos import SENSOR
 
 FOUND = dict[str, tuple[str, str]]
 
+SHORT = 8.0
+"""Patience (s) where something is missing for good."""
+
 
 def looked_at(
     offset: int = 1, *, points: str = "points", namespace: str = "", patience: float = 20.0
@@ -90,18 +93,18 @@ def test_a_server_that_is_not_active_or_of_another_version() -> None:
         stranger = LifecycleNode("grasp_server", context=other.context)
         assert other.executor is not None
         other.executor.add_node(stranger)
-        found = looked_at(6)
+        found = looked_at(6, patience=SHORT)
         assert found["server"][0] == "fail" and "is unconfigured" in found["server"][1]
         in_executor(other, stranger.trigger_configure)
         in_executor(other, stranger.trigger_activate)
-        found = looked_at(6)
+        found = looked_at(6, patience=SHORT)
         assert found["server"][0] == "ok"
         assert found["health"][0] == "warn"
         assert found["clock" if "clock" in found else "parameters"][0] == "fail"
         assert "of this version" in found["parameters"][1]
         twin = LifecycleNode("grasp_server", context=other.context)
         other.executor.add_node(twin)
-        assert "2 nodes are named /grasp_server" in looked_at(6)["server"][1]
+        assert "2 nodes are named /grasp_server" in looked_at(6, patience=SHORT)["server"][1]
         for node in (stranger, twin):
             other.executor.remove_node(node)
             node.destroy_node()
@@ -112,7 +115,7 @@ def test_what_the_server_says_of_itself(server: Client) -> None:
     answer = server.synthesize(num_grasps=1, cloud=cloud_of(server))
     assert answer.error_code == ErrorCode.MODEL_NOT_LOADED
     try:
-        level, text = looked_at()["health"]
+        level, text = looked_at(patience=SHORT)["health"]
         assert level == "fail" and "does not fit" in text
     finally:
         assert not server.parameters(model="quick")
@@ -135,7 +138,7 @@ def test_no_cloud_where_the_server_looks(server: Client) -> None:
 def test_another_type_on_the_topic() -> None:
     with spinning_node(own_domain(6), "talker") as talker:
         talker.create_publisher(String, "points", 1)
-        level, text = looked_at(6)["points"]
+        level, text = looked_at(6, patience=SHORT)["points"]
         assert level == "fail" and "carries std_msgs/msg/String" in text
 
 
@@ -165,7 +168,7 @@ def test_slow_old_and_early_clouds(server: Client) -> None:
 
 def test_a_clock_that_stands_still(server: Client) -> None:
     with set_to(server, {"use_sim_time": False}, use_sim_time=True):
-        level, text = looked_at()["clock"]
+        level, text = looked_at(patience=SHORT)["clock"]
     assert level == "fail" and "nobody publishes /clock" in text
 
 
@@ -201,7 +204,13 @@ def test_frames_gravity_units_region(
 def test_a_listener_that_misses_what_was_latched(server: Client) -> None:
     deaf = server.node.create_subscription(GraspArray, "grasps", lambda message: None, 1)
     try:
-        assert until(lambda: looked_at().get("listeners", ("ok",))[0] == "warn", WAIT)
-        assert "durability volatile" in looked_at()["listeners"][1]
+        found: FOUND = {}
+
+        def noticed() -> bool:
+            found.update(looked_at(patience=SHORT))
+            return found.get("listeners", ("ok",))[0] == "warn"
+
+        assert until(noticed, WAIT)
+        assert "durability volatile" in found["listeners"][1]
     finally:
         in_executor(server.node, lambda: server.node.destroy_subscription(deaf))
