@@ -22,6 +22,10 @@ class InvalidRequestError(MegraspError):
     code = 5
 
 
+class SensorPlaceError(InvalidRequestError):
+    """The sensor is said to be where it cannot have seen the cloud from."""
+
+
 class CancelledError(MegraspError):
     """The caller cancelled the work between two steps."""
 

@@ -164,6 +164,17 @@ def test_bad_floors_are_refused() -> None:
         level_floor(0.1, None)
 
 
+@pytest.mark.parametrize("height", [-12.0, -1.6, -0.6])
+def test_a_floor_far_below_is_refused(height: float) -> None:
+    with pytest.raises(InvalidRequestError, match=r"m below the lowest points.*millimetres"):
+        unseen_structure(seen(OBJECTS), floor=level_floor(height, DOWN))
+
+
+def test_a_floor_some_decimetres_below_one_object_is_taken() -> None:
+    """A segmented object on top of a stack."""
+    assert unseen_structure(seen(top(0.0, 0.0, 0.4, edge=0.05)), floor=level_floor(0.0, DOWN))
+
+
 def test_a_tilted_floor() -> None:
     normal = np.array([0.1, 0.0, 1.0]) / np.linalg.norm([0.1, 0.0, 1.0])
     floor = Plane(normal, 0.0)

@@ -8,11 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from megrasp_core.errors import InvalidRequestError
+from megrasp_core.limits import MAX_EDGE
 
 FloatArray = NDArray[np.float64]
 
 LARGEST = 1e6
 """Longest edge (m)."""
+ROOMY = 20.0
+"""A region that is so many times as wide as what lies in it may be in other units."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +62,34 @@ class OrientedBox:
     def rotation(self) -> FloatArray:
         """(3, 3) rotation world_from_box; its columns are the directions of the edges."""
         return self.world_from_box[:3, :3]
+
+    def check_units(self) -> None:
+        """Refuse a box that nobody can mean in metres; for one that a person gives.
+
+        Raises:
+            InvalidRequestError: an edge is longer than `MAX_EDGE`.
+        """
+        if self.size.max() > MAX_EDGE:
+            raise InvalidRequestError(
+                f"the region has the size {_shown(self.size)}; expected metres, up to "
+                f"{MAX_EDGE:g}. It looks like millimetres: divide size and place by 1000."
+            )
+
+    def doubt(self, points: FloatArray) -> str:
+        """What seems wrong with the box as a region of these points (N, 3), "" where nothing does:
+        it is far wider than those in it.
+        """
+        inside = points[self.contains(points)]
+        if len(inside) < 2:
+            return ""
+        low, high = np.percentile(self.local(inside), (1, 99), axis=0)
+        width = float((high - low).max())
+        if self.size.max() <= ROOMY * width:
+            return ""
+        return (
+            f"the region is {_shown(self.size)} m and the points in it are {width:.2g} m wide; "
+            "check that it is in metres, and in the frame of the grasps"
+        )
 
     def local(self, points: FloatArray) -> FloatArray:
         """Return world points (N, 3) in the frame of the box, whose origin is its centre."""
@@ -113,3 +144,7 @@ class OrientedBox:
         return OrientedBox(
             np.asarray(target_from_world, dtype=np.float64) @ self.world_from_box, self.size
         )
+
+
+def _shown(numbers: FloatArray) -> str:
+    return " x ".join(f"{value:.4g}" for value in numbers)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from megrasp_core.errors import CloudError, InvalidRequestError
+from megrasp_core.errors import CloudError, SensorPlaceError
 
 __all__ = ["DepthImage", "DepthImageSettings"]
 
@@ -72,7 +72,7 @@ class DepthImage:
 
         Raises:
             CloudError: no point is given.
-            InvalidRequestError: the sensor is not outside the cloud.
+            SensorPlaceError: the sensor is not outside the cloud.
         """
         self.settings = settings or DepthImageSettings()
         points = np.asarray(points)
@@ -88,7 +88,7 @@ class DepthImage:
         x, y, depth = self._camera_points(points)
         front = depth > 1e-3
         if front.mean() < LEAST_IN_FRONT:
-            raise InvalidRequestError(
+            raise SensorPlaceError(
                 f"the sensor position {np.round(self.sensor, 3).tolist()} has {int(front.sum())} "
                 f"of {len(points)} points in front of it; expected a position outside the cloud, "
                 "in the cloud's frame. Give the position of the camera in the frame of the cloud."

@@ -47,6 +47,9 @@ RIM = 0.004
 """So wide (m) a rim of objects gives no readings: cameras lose the pixels at edges."""
 LOWEST = 0.5
 """Percentile of the heights that an unknown floor is taken from."""
+DEEPEST = (0.5, 1.5)
+"""A floor may lie so far (m) below the lowest points: the less, however narrow the cloud, the more,
+however wide it is, and between them as far as the cloud is wide."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,7 @@ def unseen_structure(
             gap between objects stay unknown.
 
     Raises:
-        InvalidRequestError: most of the cloud lies below `floor`.
+        InvalidRequestError: most of the cloud lies below `floor`, or all of it far above.
     """
     nothing = UnseenStructure(np.zeros((0, 3)), np.zeros((0, 3)), floor, "")
     if floor is not None:
@@ -155,6 +158,14 @@ def _check_floor(surface: SurfaceCloud, floor: Plane) -> None:
             f"the floor was given where {100 * below / len(height):.0f} % of the cloud lie more "
             f"than 20 mm below it (the lowest {-1000 * float(height.min()):.0f} mm); expected the "
             "surface that the objects lie on. Check floor, frame and gravity."
+        )
+    low, high = np.percentile(surface.points, (LOWEST, 100.0 - LOWEST), axis=0)
+    gap, most = float(np.percentile(height, LOWEST)), np.clip((high - low).max(), *DEEPEST)
+    if gap > most:
+        raise InvalidRequestError(
+            f"the floor was given {gap:.3g} m below the lowest points; expected the surface that "
+            f"the objects lie on, in metres, at most {most:.3g} m below. Check floor, frame and "
+            "gravity; a height in millimetres is divided by 1000."
         )
 
 

@@ -78,6 +78,8 @@ def perceive(
         found = Cloud(structure.points, viewpoint=structure.seen_from)
         origin = cloud.viewpoint if request.sensor is None else request.sensor
         surface = seen(replace(cloud, viewpoint=origin).joined(found))
+    region = request.region
+    doubt = region.doubt(surface.points) if region is not None else ""
     objects = LabelledObjects.of(surface, request.target)
     return Perceived(
         scene_nodes(surface, scene),
@@ -86,6 +88,6 @@ def perceive(
         # Under a floor that is only thought to be there, a flat object may be all that is seen.
         not structure.estimated
         and only_support_left(surface.points, request.region, surface.gravity),
-        (structure.note,) if structure.note else (),
+        tuple(f"{note.rstrip('.')}." for note in (doubt, structure.note) if note),
         objects,
     )

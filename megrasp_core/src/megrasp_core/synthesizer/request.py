@@ -107,6 +107,8 @@ class SynthesisRequest:
         self._set("drawn", n if self.mode == "fast" else max(drawn, n))
         self._set("gravity", _direction(_array("gravity", self.gravity)))
         self._set("sensor", _array("sensor", self.sensor))
+        if self.region is not None:
+            self.region.check_units()
         self._set("floor", _floor(self.floor, self.gravity))
         if self.max_tilt is not None and not 0 < self.max_tilt <= math.pi:
             raise InvalidRequestError(
