@@ -53,6 +53,8 @@ if TYPE_CHECKING:
 
 LOADING = 0.3
 """Time between two questions to a server that is not active yet (s)."""
+IDLE = 4
+"""One that has been unconfigured for so many of them may have failed to be configured."""
 
 OnFeedback = Callable[[GenerateGrasps.Feedback], None]
 
@@ -161,7 +163,8 @@ class GraspClient:
 
     def wait_until_ready(self, timeout: float, *, cell: bool = False) -> None:
         """Wait until the server is active, `timeout` seconds in all: it offers its services before
-        it has loaded its model, and answers NOT_ACTIVE meanwhile.
+        it has loaded its model, and answers NOT_ACTIVE meanwhile. Where configuring it failed, the
+        reason is raised.
 
         cell: wait for `change_tool` and `execute_grasp` as well.
         """
@@ -170,6 +173,7 @@ class GraspClient:
         services = [
             (SynthesizeGrasps, "synthesize_grasps", "grasp_server"),
             (SetGripper, "set_gripper", "grasp_server"),
+            (GetState, f"{self._server}/get_state", "grasp_server"),
         ]
         if cell:
             services.append((ChangeTool, "change_tool", "the cell"))
@@ -183,12 +187,13 @@ class GraspClient:
             what = "action execute_grasp (the cell)"
             left = end - time.monotonic()
             caller.appear(what, execute.wait_for_server, timeout, left=left)
-        inactive = self._inactive()
-        while inactive is not None and time.monotonic() < end:
+        # Every request that it refuses is a warning in its log, so the state is asked for.
+        idle = 0
+        while (state := self.state()) != "active":
+            idle = idle + 1 if state == "unconfigured" else 0
+            if idle == IDLE or time.monotonic() >= end:
+                self._raise_inactive(over=time.monotonic() >= end)
             time.sleep(min(LOADING, max(0.0, end - time.monotonic())))
-            inactive = self._inactive()
-        if inactive is not None:
-            raise inactive
 
     def synthesize(self, num_grasps: int = 20, **fields: Any) -> SynthesizeGrasps.Response:
         """Grasps, best first, with what was rejected and the times.
@@ -355,16 +360,18 @@ class GraspClient:
             raise ValueError("record was called; expected a client made with record=FOLDER.")
         return self._recorder.keep(grasps, grasp, success=success, reason=reason, extra=extra)
 
-    def _inactive(self) -> GraspServerError | None:
-        """The answer of a server that is not active."""
+    def _raise_inactive(self, *, over: bool) -> None:
+        """Raise what a server that is not active answers: that configuring it failed, or, when
+        the time is `over`, that it is not active.
+        """
         try:
             # Nothing is changed by a dry run, whatever the name.
             self.set_gripper("", dry_run=True)
         except GraspServerError as error:
-            if error.code == ErrorCode.NONE:
+            failed = over or error.code != ErrorCode.NOT_ACTIVE
+            # An active one refuses the empty name.
+            if failed and self.state() != "active":
                 raise
-            return error if error.code == ErrorCode.NOT_ACTIVE else None
-        return None
 
     def _filled(self, fields: dict[str, Any]) -> dict[str, Any]:
         timeout = self._caller.timeout

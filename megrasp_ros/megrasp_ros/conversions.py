@@ -254,7 +254,9 @@ def box_from_message(message: OrientedBoxMessage, what: str = "region.pose") -> 
     size = np.array([message.size.x, message.size.y, message.size.z])
     if not size.any():
         return None
-    return OrientedBox(matrix_from_pose(message.pose, what), size)
+    box = OrientedBox(matrix_from_pose(message.pose, what), size)
+    box.check_units()
+    return box
 
 
 def message_from_box(box: OrientedBox) -> OrientedBoxMessage:

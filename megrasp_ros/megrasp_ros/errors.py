@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Sequence
 from typing import ClassVar
 
 from megrasp_msgs.msg import ErrorCode
@@ -49,6 +50,25 @@ class TransformError(MegraspError):
     """The transform from the cloud's frame into the planning frame is not known."""
 
     code: ClassVar[int] = ErrorCode.TRANSFORM_OR_GRAVITY_MISSING
+
+
+class SensorOriginError(MegraspError):
+    """With the parameter `sensor_origin` the camera cannot have seen the cloud."""
+
+    code: ClassVar[int] = ErrorCode.TRANSFORM_OR_GRAVITY_MISSING
+
+    def __init__(self, origin: Sequence[float], frame: str, reason: MegraspError) -> None:
+        """Take the parameter, the frame that it is in, and what the core says."""
+        given = (
+            f"is {' '.join(f'{value:.4g}' for value in origin)}"
+            if any(origin)
+            else "is not set, so that the camera is taken to be at the origin"
+        )
+        super().__init__(
+            f"the parameter sensor_origin {given} of {shortened(frame, 80)!r}, the frame of the "
+            "cloud; expected the place of the camera in that frame. Set sensor_origin: [x, y, z] "
+            f"(m). If it is right: {reason}"
+        )
 
 
 class ToolChangeError(MegraspError):
@@ -111,6 +131,21 @@ def describe(error: BaseException) -> tuple[int, str]:
     return code, shortened(text, MOST_TEXT)
 
 
+_OPTIONS = re.compile(r" ?\((?:--sensor, the file's viewpoint|--scale(?: [\d.]+)?)\)")
+
+
+def in_ros_words(text: str) -> str:
+    """Return what the core says with the advice that helps here: the options of its command line
+    are none of a node.
+    """
+    if "(--scale" in text:
+        text += (
+            " In ROS the driver publishes metres (REP 103); of depth images 32FC1 is in metres "
+            "and 16UC1 in millimetres."
+        )
+    return _OPTIONS.sub("", text)
+
+
 def shortened(text: str, most: int) -> str:
     """Return the text, the middle left out if it is longer than `most` characters."""
     if len(text) <= most:
@@ -123,7 +158,7 @@ def _describe(error: BaseException) -> tuple[int, str]:
     if isinstance(error, ConfigureError):
         return error.reason_code, str(error)
     if isinstance(error, MegraspError):
-        return int(error.code), str(error)
+        return int(error.code), in_ros_words(str(error))
     if is_out_of_memory(error):
         return ErrorCode.OUT_OF_MEMORY, (
             f"out of memory ({str(error) or type(error).__name__}); expected the request to fit. "

@@ -74,12 +74,18 @@ def synthesize(
         fields["region"] = message_from_box(read_region(region)[0])
     stop = threading.Event()
     with GraspClient.open("megrasp_call", namespace=namespace, timeout=timeout) as client:
+        points = None
         if cloud is not None:
             from megrasp_core.pointcloud import read_cloud
+
+            points = read_cloud(cloud).points
+        # One that was just started answers as soon as its model is loaded.
+        client.wait_until_ready(timeout)
+        if points is not None:
             from megrasp_ros.sensor_messages import cloud_message
 
             now = client.node.get_clock().now().to_msg()
-            fields["cloud"] = cloud_message(read_cloud(cloud).points, frame=frame, stamp=now)
+            fields["cloud"] = cloud_message(points, frame=frame, stamp=now)
 
         def interrupted(number: int, _: object) -> None:
             stop.set()

@@ -13,26 +13,44 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from std_msgs.msg import Header
 
-from megrasp_core.errors import MegraspError
-from megrasp_core.pointcloud import check_view
+from megrasp_core.errors import EmptyRegionError, InvalidRequestError, MegraspError
+from megrasp_core.pointcloud import (
+    Cloud,
+    DepthImage,
+    Plane,
+    SurfaceCloud,
+    check_view,
+    level_floor,
+    surface_cloud,
+    unseen_structure,
+)
 from megrasp_ros.calling import GraspServerError
 from megrasp_ros.client import GraspClient
 from megrasp_ros.conversions import points_from_cloud
+from megrasp_ros.depth_messages import cloud_from_depth
+from megrasp_ros.errors import in_ros_words
 from megrasp_ros.qos import SENSOR
 from megrasp_ros.recording import server_settings
+from megrasp_ros.server.diagnostics import UNREPORTED
 from megrasp_ros.server.frames import FrameSource, gravity_in, is_optical
 from megrasp_ros.server.parameters import Settings
+from megrasp_ros.server.sensing import placed
+from megrasp_ros.server.sensor_source import others_with
 
 from .machine_checks import Check, Level
 
-CLOUD = "sensor_msgs/msg/PointCloud2"
 LATCHED_TOPICS = ("grasps", "pregrasps", "approach_poses", "active_gripper")
 FEW = 500
 """Fewer points than this in the region show no object well."""
 AHEAD = 1.0
 """A stamp may be ahead of the clock by so much (s)."""
+TWINS = 2.0
+"""A second server of the same name is discovered within this time (s) after the first."""
+TOLD = 2.0
+"""A server that runs tells of itself each second; so long it is listened to (s)."""
 
 
 @dataclass
@@ -47,6 +65,15 @@ class Sample:
         """Callback of a raw subscription."""
         self.sizes.append(len(data))
         self.last = data
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What the server would look at, in the frame of its sensor; decoded when it is needed."""
+
+    header: Header
+    optical: bool
+    decode: Callable[[], Cloud]
 
 
 class ServerChecks:
@@ -69,37 +96,36 @@ class ServerChecks:
         self._started = time.monotonic()
         self._points = self._node.resolve_topic_name(points)
         self._settings: Settings | None = None
-        self._cloud: PointCloud2 | None = None
+        self._scene: Scene | None = None
+        self._told: dict[str, str] = {}
         self.cloud_bytes = 0
 
     def run(self) -> list[Check]:
         """All of them, in the order in which a request would meet what is wrong."""
         found = self.server()
-        if any(check.level == "fail" for check in found[:1]):
+        if self._count() == 1:
+            # Also of one that is not active: it says why.
+            found += self.health()
+        if found[0].level == "fail":
             return [*found, *self.cloud()]
-        found += [*self.health(), *self.parameters()]
+        found += self.parameters()
         # A server that takes depth images has no clouds to look at.
         depth = getattr(self._settings, "input", "points") == "depth"
         found += self.images() if depth else self.cloud()
-        if self._settings is not None and self._cloud is not None:
-            found += self.geometry(self._settings, self._cloud)
+        if self._settings is not None and self._scene is not None:
+            found += self.geometry(self._settings, self._scene)
         return [*found, *self.listeners()]
 
     def server(self) -> list[Check]:
         """Whether the server is there, once, and active."""
         namespace = self._node.get_namespace()
-
-        def named() -> list[str]:
-            nodes = self._node.get_node_names_and_namespaces()
-            return [place for name, place in nodes if name == self._server]
-
-        self._until(lambda: namespace in named())
-        places = named()
-        if namespace not in places:
-            return [Check("server", "fail", self._absence(namespace, places))]
+        self._until(lambda: self._count() > 0)
+        self._until(lambda: self._count() > 1, TWINS)
+        if not self._count():
+            return [Check("server", "fail", self._absence(namespace, self._places()))]
         full = f"{namespace.rstrip('/')}/{self._server}"
-        if places.count(namespace) > 1:
-            text = f"{places.count(namespace)} nodes are named {full}; end all but one"
+        if self._count() > 1:
+            text = f"{self._count()} nodes are named {full}; end all but one"
             return [Check("server", "fail", text)]
         try:
             state = self._client.state()
@@ -115,6 +141,14 @@ class ServerChecks:
         return [
             Check("server", "warn" if state in ("configuring", "activating") else "fail", text)
         ]
+
+    def _places(self) -> list[str]:
+        """Namespaces in which there is a node of that name, one that has several more often."""
+        nodes = self._node.get_node_names_and_namespaces()
+        return [place for name, place in nodes if name == self._server]
+
+    def _count(self) -> int:
+        return self._places().count(self._node.get_namespace())
 
     def _absence(self, namespace: str, places: list[str]) -> str:
         if places:
@@ -139,23 +173,23 @@ class ServerChecks:
 
     def health(self) -> list[Check]:
         """What the server says of itself in /diagnostics."""
-        full = f"{self._node.get_namespace().rstrip('/')}/{self._server}"
-        heard: list[DiagnosticStatus] = []
-
-        def take(message: DiagnosticArray) -> None:
-            heard.extend(status for status in message.status if status.name == full)
-
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", take, 10)
-        self._until(lambda: bool(heard))
-        if not heard:
-            return [Check("health", "warn", f"nothing of {full} on /diagnostics; is it stuck?")]
-        status = heard[-1]
+        status = server_status(self._node, self._server, self._until)
+        if status is None:
+            text = f"nothing of {self._server} on /diagnostics; is it stuck?"
+            return [Check("health", "warn", text)]
         levels: dict[bytes, Level] = {DiagnosticStatus.OK: "ok", DiagnosticStatus.WARN: "warn"}
-        values = {each.key: each.value for each in status.values}
-        text = status.message
-        if status.level == DiagnosticStatus.OK:
-            text = f"model {values.get('model')}, gripper {values.get('active gripper')}"
-        return [Check("health", levels.get(status.level, "fail"), text)]
+        values = self._told = {each.key: each.value for each in status.values}
+        text, level = status.message, levels.get(status.level, "fail")
+        active, tool = values.get("active gripper", ""), values.get("tool_id", UNREPORTED)
+        if level == "ok":
+            text = f"model {values.get('model')}, gripper {active}"
+        elif level == "warn" and tool not in (UNREPORTED, active):
+            level = "fail"
+            text += (
+                f": requests answer 203. Call set_gripper with the gripper that is on, or mount "
+                f"{active}"
+            )
+        return [Check("health", level, text)]
 
     def parameters(self) -> list[Check]:
         """Read the server's parameters; its clock has to tick."""
@@ -171,67 +205,101 @@ class ServerChecks:
 
     def cloud(self) -> list[Check]:
         """Whether usable clouds come: publisher, type, QoS, rate, size, age."""
-        topic = heard_cloud(self._node, self._server) or self._points
-        self._until(lambda: bool(self._node.get_publishers_info_by_topic(topic)))
-        publishers = self._node.get_publishers_info_by_topic(topic)
-        if not publishers:
-            others = other_clouds(self._node, self._server, topic)
-            hint = (
-                f"; clouds are on {', '.join(others[:5])}: start the server with -r "
-                f"points:={others[0]}, and doctor with --points {others[0]}"
-                if others
-                else "; start the camera"
-            )
-            return [Check("points", "fail", f"nobody publishes {topic}{hint}")]
-        wrong = [info.topic_type for info in publishers if info.topic_type != CLOUD]
-        if wrong:
-            text = f"{topic} carries {wrong[0]}; expected {CLOUD}. Remap points to a cloud"
-            return [Check("points", "fail", text)]
-        for info in publishers:
-            compatible, reason = qos_check_compatible(info.qos_profile, SENSOR)
-            if compatible == QoSCompatibility.ERROR:
-                text = f"QoS of {info.node_name} on {topic} does not fit the server's: {reason}"
-                return [Check("points", "fail", text)]
-        sample = Sample(self._seconds)
-        self._node.create_subscription(PointCloud2, topic, sample.take, SENSOR, raw=True)
-        self._pause(self._seconds)
-        if not sample.sizes:
-            text = (
-                f"{topic} has {len(publishers)} publisher(s), and no cloud came in "
-                f"{self._seconds:g} s; see the lines `Fast DDS` and `shared memory`, or is the "
-                "camera stopped?"
-            )
-            return [Check("points", "fail", text)]
-        self.cloud_bytes = max(sample.sizes)
+        topic = self._told.get("topic points", self._points)
+        heard = self._listened("points", {"points": (topic, PointCloud2)})
+        if isinstance(heard, Check):
+            return [heard]
+        (sample,) = heard
         cloud: PointCloud2 = deserialize_message(sample.last, PointCloud2)
-        self._cloud = cloud
-        return [self._rate(topic, sample), self._age(cloud)]
+        optical = is_optical(cloud.header.frame_id)
+        self._scene = Scene(cloud.header, optical, lambda: Cloud(points_from_cloud(cloud)))
+        return [self._rate("points", topic, sample), self._age(cloud.header)]
 
     def images(self) -> list[Check]:
-        """Whether somebody publishes depth images and what the camera is like."""
-        topics = [self._node.resolve_topic_name(name) for name in ("depth", "camera_info")]
+        """The same of depth images and their camera_info."""
+        kinds = {"depth": Image, "camera_info": CameraInfo}
+        names = {
+            name: (self._told.get(f"topic {name}", self._node.resolve_topic_name(name)), kind)
+            for name, kind in kinds.items()
+        }
+        heard = self._listened("images", names)
+        if isinstance(heard, Check):
+            return [heard]
+        depth: Image = deserialize_message(heard[0].last, Image)
+        info: CameraInfo = deserialize_message(heard[1].last, CameraInfo)
+        self._scene = Scene(depth.header, True, lambda: cloud_from_depth(depth, info, None))
+        told = ", ".join(topic for topic, _ in names.values())
+        return [self._rate("images", told, heard[0]), self._age(depth.header)]
+
+    def _listened(self, what: str, topics: dict[str, tuple[str, type]]) -> Check | list[Sample]:
+        """What came on every topic, by the names that the server has for them, or what is wrong
+        with one of them.
+        """
 
         def missing() -> list[str]:
-            return [name for name in topics if not self._node.get_publishers_info_by_topic(name)]
+            there = self._node.get_publishers_info_by_topic
+            return [name for name, (topic, _) in topics.items() if not there(topic)]
 
         self._until(lambda: not missing())
-        if missing():
-            text = f"nobody publishes {', '.join(missing())}; start the camera, or remap them"
-            return [Check("images", "fail", text)]
-        return [Check("images", "ok", ", ".join(topics))]
+        if silent := missing():
+            return Check(what, "fail", self._unpublished({name: topics[name] for name in silent}))
+        for topic, kind in topics.values():
+            wrong = self._misfit(topic, kind)
+            if wrong:
+                return Check(what, "fail", wrong)
+        samples = [Sample(self._seconds) for _ in topics]
+        for sample, (topic, kind) in zip(samples, topics.values(), strict=True):
+            self._node.create_subscription(kind, topic, sample.take, SENSOR, raw=True)
+        self._pause(self._seconds)
+        for sample, (topic, _) in zip(samples, topics.values(), strict=True):
+            if not sample.sizes:
+                count = self._node.count_publishers(topic)
+                text = (
+                    f"{topic} has {count} publisher(s), and nothing came in {self._seconds:g} s; "
+                    "see the lines `Fast DDS` and `shared memory`, or is the camera stopped?"
+                )
+                return Check(what, "fail", text)
+        self.cloud_bytes = max(max(sample.sizes) for sample in samples)
+        return samples
 
-    def _rate(self, topic: str, sample: Sample) -> Check:
+    def _unpublished(self, topics: dict[str, tuple[str, type]]) -> str:
+        told = f"nobody publishes {', '.join(topic for topic, _ in topics.values())}"
+        hints = []
+        for name, (topic, kind) in topics.items():
+            others = others_with(self._node, type_name(kind), topic, self._server)
+            if others:
+                hints.append(
+                    f"; {kind.__name__} is on {', '.join(others[:5])}: start the server with -r "
+                    f"{name}:={others[0]}"
+                )
+                if name == "points" and not self._told:
+                    hints.append(f", and doctor with --points {others[0]}")
+        return told + ("".join(hints) or "; start the camera")
+
+    def _misfit(self, topic: str, kind: type) -> str:
+        """What is wrong with those who publish a topic, "" where nothing is."""
+        for info in self._node.get_publishers_info_by_topic(topic):
+            if info.topic_type != type_name(kind):
+                return (
+                    f"{topic} carries {info.topic_type}; expected {type_name(kind)}. Remap to one"
+                )
+            compatible, reason = qos_check_compatible(info.qos_profile, SENSOR)
+            if compatible == QoSCompatibility.ERROR:
+                return f"QoS of {info.node_name} on {topic} does not fit the server's: {reason}"
+        return ""
+
+    def _rate(self, what: str, topic: str, sample: Sample) -> Check:
         rate = len(sample.sizes) / sample.seconds
         text = f"{topic}: {rate:.1f} a second, {self.cloud_bytes / 1e6:.2f} MB"
         timeout = 5.0 if self._settings is None else self._settings.cloud_timeout
         if rate * timeout < 2.0:
             advice = f"cloud_timeout is {timeout:g} s; raise it, or the camera's rate"
-            return Check("points", "warn", f"{text}; {advice}")
-        return Check("points", "ok", text)
+            return Check(what, "warn", f"{text}; {advice}")
+        return Check(what, "ok", text)
 
-    def _age(self, cloud: PointCloud2) -> Check:
+    def _age(self, header: Header) -> Check:
         limit = 5.0 if self._settings is None else self._settings.cloud_max_age
-        stamp = cloud.header.stamp.sec + 1e-9 * cloud.header.stamp.nanosec
+        stamp = header.stamp.sec + 1e-9 * header.stamp.nanosec
         age = 1e-9 * self._node.get_clock().now().nanoseconds - stamp
         if limit <= 0:
             return Check("stamps", "ok", "any (cloud_max_age 0)")
@@ -244,9 +312,9 @@ class ServerChecks:
             return Check("stamps", "fail", text)
         return Check("stamps", "ok", f"clouds are at most {max(age, 0.0):.2f} s old")
 
-    def geometry(self, settings: Settings, cloud: PointCloud2) -> list[Check]:
+    def geometry(self, settings: Settings, scene: Scene) -> list[Check]:
         """Frames, gravity, units, region: the same functions that a request goes through."""
-        source = cloud.header.frame_id
+        source = scene.header.frame_id
         if not source:
             text = "the cloud's frame_id is empty; set the frame in the camera's driver"
             return [Check("frame", "fail", text)]
@@ -256,31 +324,36 @@ class ServerChecks:
             if settings.planning_frame and settings.extrinsics is None:
                 # What tf2 has to say comes within a second or two.
                 self._pause(min(2.0, self._seconds))
-            frame, matrix = frames.planning_from_cloud(cloud.header, settings)
+            frame, matrix = frames.planning_from_cloud(scene.header, settings)
         except MegraspError as error:
             return [Check("frame", "fail", str(error))]
         found = [Check("frame", "ok", frames.last)]
         try:
-            gravity = gravity_in(frame, settings)
+            gravity = gravity_in(frame, settings, optical=scene.optical and frame == source)
         except MegraspError as error:
             return [*found, Check("gravity", "fail", str(error))]
         given = "parameter" if settings.gravity is not None else "z is up"
         numbers = " ".join(f"{value:.3g}" for value in gravity)
         found.append(Check("gravity", "ok", f"{numbers} in {frame!r} ({given})"))
         try:
-            seen = points_from_cloud(cloud)
+            seen = scene.decode()
         except MegraspError as error:
-            return [*found, Check("view", "fail", str(error))]
-        points = seen @ matrix[:3, :3].T + matrix[:3, 3]
-        sensor = matrix[:3, :3] @ settings.sensor_origin + matrix[:3, 3]
+            return [*found, Check("view", "fail", in_ros_words(str(error)))]
+        # A depth image brings its place itself.
+        origin = settings.sensor_origin if seen.viewpoint is None else seen.viewpoint
+        cloud = Cloud(seen.points, viewpoint=origin).transformed(matrix)
+        surface = None
         try:
-            if is_optical(source):
-                check_view(seen, optical=True)
-            check_view(points, sensor=sensor, gravity=gravity, region=settings.region)
+            if scene.optical:
+                check_view(seen.points, optical=True)
+            with placed("" if scene.optical else source, settings.sensor_origin.tolist()):
+                surface = _surface(cloud, gravity, settings)
             found.append(Check("view", "ok", "units, axes, gravity and the sensor's place agree"))
         except MegraspError as error:
-            found.append(Check("view", "fail", str(error)))
-        return [*found, self._region(settings, points)]
+            found.append(Check("view", "fail", in_ros_words(str(error))))
+        if surface is not None:
+            found += _floor(surface, settings)
+        return [*found, self._region(settings, cloud.points)]
 
     def _region(self, settings: Settings, points: NDArray[np.float64]) -> Check:
         if settings.region is None:
@@ -298,6 +371,9 @@ class ServerChecks:
             return Check("region", "fail", f"no point lies in it; {advice}")
         if inside < FEW:
             return Check("region", "warn", f"only {inside} points lie in it; {advice}")
+        doubt = settings.region.doubt(points)
+        if doubt:
+            return Check("region", "warn", doubt)
         return Check("region", "ok", f"{inside} points in it")
 
     def listeners(self) -> list[Check]:
@@ -313,9 +389,14 @@ class ServerChecks:
         wrong = [check for check in found if check is not None]
         return wrong or [Check("listeners", "ok", "all hear what they subscribe to")]
 
-    def _until(self, done: Callable[[], bool]) -> None:
-        """Wait for what the network has yet to tell: who has listened for long has heard it."""
-        end = max(self._started + self._patience, time.monotonic() + self._patience / 4)
+    def _until(self, done: Callable[[], bool], seconds: float | None = None) -> None:
+        """Wait for what the network has yet to tell: who has listened for long has heard it.
+
+        seconds: since the first check, in place of the patience.
+        """
+        end = self._started + (self._patience if seconds is None else seconds)
+        if seconds is None:
+            end = max(end, time.monotonic() + self._patience / 4)
         while not done() and time.monotonic() < end:
             self._pause(0.05)
 
@@ -325,26 +406,73 @@ class ServerChecks:
         time.sleep(seconds)
 
 
-def heard_cloud(node: Node, server: str) -> str:
-    """The topic that the server has clouds from, "" while it is not subscribed: itself it tells
-    which one it was remapped to.
+def type_name(kind: type) -> str:
+    """package/msg/Name of a message."""
+    return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+
+
+def server_status(
+    node: Node, server: str, until: Callable[[Callable[[], bool]], object]
+) -> DiagnosticStatus | None:
+    """What the server says of itself in /diagnostics, None when it says nothing.
+
+    until: waits for a condition.
     """
-    try:
-        listened = node.get_subscriber_names_and_types_by_node(server, node.get_namespace())
-    except Exception:
+    full = f"{node.get_namespace().rstrip('/')}/{server}"
+    heard: list[DiagnosticStatus] = []
+
+    def take(message: DiagnosticArray) -> None:
+        heard[:] = [status for status in message.status if status.name == full] or heard
+
+    node.create_subscription(DiagnosticArray, "/diagnostics", take, 10)
+    until(lambda: bool(heard))
+    return heard[-1] if heard else None
+
+
+def cloud_topic(node: Node, server: str) -> str:
+    """The topic that the server's `points` is remapped to, "" where no server tells."""
+    if (server, node.get_namespace()) not in node.get_node_names_and_namespaces():
         return ""
-    return next((name for name, kinds in listened if CLOUD in kinds), "")
+    end = time.monotonic() + TOLD
+
+    def until(done: Callable[[], bool]) -> None:
+        while not done() and time.monotonic() < end:
+            time.sleep(0.05)
+
+    status = server_status(node, server, until)
+    values = {} if status is None else {each.key: each.value for each in status.values}
+    return values.get("topic points", "")
 
 
-def other_clouds(node: Node, server: str, topic: str) -> list[str]:
-    """Topics with clouds, but `topic`, that somebody else than the server publishes."""
-    return sorted(
-        name
-        for name, kinds in node.get_topic_names_and_types()
-        if CLOUD in kinds
-        and name != topic
-        and any(info.node_name != server for info in node.get_publishers_info_by_topic(name))
-    )
+def _surface(
+    cloud: Cloud, gravity: NDArray[np.float64], settings: Settings
+) -> SurfaceCloud | None:
+    """What the check sees of a cloud, None where nothing lies in the region.
+
+    Raises:
+        MegraspError: units, axes, gravity or the sensor's place are wrong.
+    """
+    region = settings.region
+    check_view(cloud.points, sensor=cloud.viewpoint, gravity=gravity, region=region)
+    try:
+        surface = surface_cloud(cloud, gravity=gravity, region=region)
+    except EmptyRegionError:
+        return None
+    for view in surface.views:
+        DepthImage(view.points, view.sensor)
+    return surface
+
+
+def _floor(surface: SurfaceCloud, settings: Settings) -> list[Check]:
+    floor = settings.floor
+    if floor is None:
+        return []
+    plane = floor if isinstance(floor, Plane) else level_floor(floor, surface.gravity)
+    try:
+        unseen_structure(surface, floor=plane, walls=settings.region_walls)
+    except InvalidRequestError as error:
+        return [Check("floor", "fail", str(error))]
+    return [Check("floor", "ok", "it is below the objects")]
 
 
 def _heard(topic: str, offered: QoSProfile, info) -> Check | None:

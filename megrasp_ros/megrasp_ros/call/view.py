@@ -18,6 +18,7 @@ from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import ExternalShutdownException
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.validate_full_topic_name import validate_full_topic_name
+from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
 from megrasp_core.cli.common import Flag, read_region, say
@@ -32,10 +33,11 @@ from megrasp_ros.server.parameter_table import TABLE
 from megrasp_ros.server.parameters import Settings, settings_of
 from megrasp_ros.server.requests import automatic_request
 from megrasp_ros.server.sensing import Sensed, Sensing
+from megrasp_ros.server.sensor_source import others_with
 from megrasp_ros.server.synthesis import options_of
 from megrasp_ros.server.worker import Job
 
-from .server_checks import heard_cloud, other_clouds
+from .server_checks import cloud_topic, type_name
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -177,14 +179,14 @@ class LiveCloud:
         self._client, self._node, self._server = client, client.node, server
         self._following = False
         self.settings = replace(settings, input="points") if topic else settings
-        topic = topic or heard_cloud(self._node, server) or "points"
+        topic = topic or cloud_topic(self._node, server) or "points"
         try:
             full = expand_topic_name(topic, self._node.get_name(), self._node.get_namespace())
             validate_full_topic_name(full)
         except (ValueError, InvalidTopicNameException) as error:
             raise InvalidRequestError(
                 f"topic {topic!r} was given; expected the name of one with clouds, such as "
-                "/camera/depth/color/points."
+                "/camera/camera/depth/color/points."
             ) from error
         self._topic = self._node.resolve_topic_name(topic)
         self.header, self.gravity = Header(), np.zeros(3)
@@ -282,7 +284,7 @@ class LiveCloud:
                 region=settings.region,
             )
         except NoCloudError as error:
-            others = other_clouds(self._node, self._server, self._topic)
+            others = others_with(self._node, type_name(PointCloud2), self._topic, self._server)
             there = ", ".join(others[:5]) or "none"
             raise NoCloudError(
                 f"{error} Other topics of that type: {there}; --topic names one, --timeout waits "

@@ -86,7 +86,8 @@ class BinService:
         )
         from megrasp_core.pointcloud import find_bin
 
-        found = find_bin(sensed.cloud, sensed.gravity, size=size if size.any() else None)
+        with sensed.placed():
+            found = find_bin(sensed.cloud, sensed.gravity, size=size if size.any() else None)
         job.check()
         return found
 

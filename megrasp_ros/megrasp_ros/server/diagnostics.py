@@ -6,11 +6,15 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Mapping
 
 import psutil
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import Header
+
+UNREPORTED = "not reported"
+"""Value of `tool_id` as long as nobody has published it."""
 
 
 def diagnostics(
@@ -33,9 +37,12 @@ def diagnostics(
     job: str,
     last_outcome: str,
     latency: float,
+    topics: Mapping[str, str],
 ) -> DiagnosticArray:
     """Return the array with one status. Worst first: an error text, a tool mismatch, a transform
     that was not there, then OK.
+
+    topics: name -> the one it is remapped to.
     """
     level, message = DiagnosticStatus.OK, state
     if transform_missing:
@@ -48,9 +55,10 @@ def diagnostics(
     if error:
         level, message = DiagnosticStatus.ERROR, error
     values = {
+        **{f"topic {name}": full for name, full in topics.items()},
         "state": state,
         "active gripper": gripper or "none",
-        "tool_id": "not reported" if reported is None else reported or "no tool",
+        "tool_id": UNREPORTED if reported is None else reported or "no tool",
         "tool changes": str(tool_version),
         "model": model or "none",
         "device": device or "none",

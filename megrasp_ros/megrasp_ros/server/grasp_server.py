@@ -379,6 +379,7 @@ class GraspServer(GuardedLifecycleNode):
                 job=job.what if job else "",
                 last_outcome=self._requests.last,
                 latency=self._requests.latency,
+                topics=self._sensing.topics,
             )
         )
 

@@ -18,7 +18,7 @@ from rclpy.expand_topic_name import expand_topic_name
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from megrasp_core.errors import InvalidRequestError
-from megrasp_core.limits import MAX_DRAWN, MAX_GRASPS
+from megrasp_core.limits import MAX_DRAWN, MAX_EDGE, MAX_GRASPS
 from megrasp_ros.conversions import FARTHEST, checked_pose
 from megrasp_ros.errors import shortened
 
@@ -117,9 +117,16 @@ def pose_check(unset_allowed: bool) -> Check:
 
 def _size(value: Sequence[float]) -> str:
     wrong = _numbers(3, "full edges in metres, all 0: no region")(value)
-    if wrong or not any(value) or all(v > 0 for v in value):
+    if wrong or not any(value):
         return wrong
-    return f"{list(value)} was given; expected three edges over 0 (m), or all 0 for no region"
+    if not all(v > 0 for v in value):
+        return f"{list(value)} was given; expected three edges over 0 (m), or all 0 for no region"
+    if max(value) > MAX_EDGE:
+        return (
+            f"{list(value)} was given; expected metres, up to {MAX_EDGE:g}. It looks like "
+            "millimetres: divide region.size and the place of region.pose by 1000"
+        )
+    return ""
 
 
 def _device(value: str) -> str:

@@ -4,8 +4,9 @@ the planning frame with its gravity. One way for syntheses and for finding bins.
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -16,9 +17,10 @@ from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Header
 
-from megrasp_core.errors import InvalidRequestError
+from megrasp_core.errors import GravityError, InvalidRequestError, SensorPlaceError
 from megrasp_ros.conversions import LABEL, cloud_from_message
 from megrasp_ros.depth_messages import cloud_from_depth
+from megrasp_ros.errors import SensorOriginError
 
 from .frames import FrameSource, gravity_in, is_optical
 from .parameters import Settings
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-POINTS = (Topic("points", PointCloud2, "a cloud", "/camera/depth/color/points"),)
+POINTS = (Topic("points", PointCloud2, "a cloud", "/camera/camera/depth/color/points"),)
 ALIGNED = "/camera/camera/aligned_depth_to_color"
 MASK = Topic("mask", Image, "a mask", "/segmentation/mask", optional=True)
 DEPTH = (
@@ -51,6 +53,9 @@ class Sensed:
         gravity: (3,) unit vector.
         waited: how long it was waited for (s).
         seconds: that decoding and transforming took.
+        source: frame that the parameter `sensor_origin` is in; "" where the camera is at the
+            origin by the nature of the frame.
+        sensor_origin: that parameter.
     """
 
     cloud: Cloud
@@ -58,6 +63,12 @@ class Sensed:
     gravity: FloatArray
     waited: float
     seconds: float
+    source: str
+    sensor_origin: tuple[float, ...]
+
+    def placed(self) -> contextlib.AbstractContextManager[None]:
+        """See `placed`."""
+        return placed(self.source, self.sensor_origin)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +90,12 @@ class Sensing:
         self._stamps = StampCheck(node)
         clouds = tuple(replace(topic, name=points) for topic in POINTS)
         self._sources = {"points": SensorSource(node, clouds), "depth": SensorSource(node, DEPTH)}
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Name -> the topic it is remapped to."""
+        names = [topic.name for topic in (*POINTS, *DEPTH)]
+        return {name: self._node.resolve_topic_name(name) for name in names}
 
     def source(self, name: str) -> SensorSource:
         """Return the sensor of this value of the parameter `input`."""
@@ -148,7 +165,15 @@ class Sensing:
         job.check()
         header = Header(stamp=view.header.stamp, frame_id=frame)
         seconds = time.monotonic() - start
-        return Sensed(cloud.transformed(planning_from_cloud), header, gravity, waited, seconds)
+        return Sensed(
+            cloud.transformed(planning_from_cloud),
+            header,
+            gravity,
+            waited,
+            seconds,
+            "" if view.optical else view.header.frame_id,
+            tuple(settings.sensor_origin.tolist()),
+        )
 
     def _view(
         self,
@@ -172,6 +197,26 @@ class Sensing:
             )
         depth, info, mask = source.wait(job, settings, not_before)
         return _View(depth.header, True, lambda: cloud_from_depth(depth, info, mask), "no mask")
+
+
+@contextlib.contextmanager
+def placed(source: str, origin: Sequence[float]) -> Iterator[None]:
+    """What the core finds wrong with the sensor's place is told of the parameter `sensor_origin`.
+
+    Args:
+        source: frame of the cloud, "" where the camera is at its origin.
+        origin: the parameter.
+
+    Raises:
+        SensorOriginError: it is wrong, or not set in a frame that is not a camera's.
+    """
+    try:
+        yield
+    except (SensorPlaceError, GravityError) as error:
+        # Beside a place that was given, it is gravity that is wrong.
+        if not source or (isinstance(error, GravityError) and any(origin)):
+            raise
+        raise SensorOriginError(origin, source, error) from error
 
 
 def _of_cloud(message: PointCloud2, settings: Settings, what: str) -> _View:

@@ -17,6 +17,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
+from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
 from megrasp_ros.errors import NoCloudError, StaleCloudError
@@ -279,11 +280,16 @@ class SensorSource:
         )
         kind = topic.kind
         package = kind.__module__.partition(".")[0]
+        there = others_with(
+            self._node, f"{package}/msg/{kind.__name__}", self._full(topic), self._node.get_name()
+        )
+        remap = there[0] if there and kind is PointCloud2 else topic.remap
         return (
             f"no {topic.what.split(' ', 1)[1]} arrived on {self._full(topic)} within "
             f"{timeout:.3g} s; it has {len(publishers)} publisher(s)"
-            f"{': ' + described if described else ''}. Expected {package}/msg/{kind.__name__}. "
-            f"Start the camera, remap the topic (--ros-args -r {topic.name}:={topic.remap}), or "
+            f"{': ' + described if described else ''}. Expected {package}/msg/{kind.__name__}"
+            f"{', which is on ' + ', '.join(there[:5]) if there else ''}. "
+            f"Start the camera, remap the topic (--ros-args -r {topic.name}:={remap}), or "
             "put the cloud into the request. For large messages set "
             "FASTRTPS_DEFAULT_PROFILES_FILE to the shipped profile."
         )
@@ -291,3 +297,14 @@ class SensorSource:
     def _full(self, topic: Topic) -> str:
         """Name after remapping."""
         return self._node.resolve_topic_name(topic.name)
+
+
+def others_with(node: Node, kind: str, topic: str, server: str) -> list[str]:
+    """Topics of a type (package/msg/Name), but `topic`, of other nodes than `server`."""
+    return sorted(
+        name
+        for name, kinds in node.get_topic_names_and_types()
+        if kind in kinds
+        and name != topic
+        and any(info.node_name != server for info in node.get_publishers_info_by_topic(name))
+    )

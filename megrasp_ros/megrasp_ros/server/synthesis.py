@@ -83,20 +83,21 @@ class SynthesisRunner:
             on_arrived=lambda: step("perceive", 0, 1, None),
         )
         options = options_of(request, settings, sensed.gravity)
-        results = [
-            (
-                gripper,
-                self._engine.synthesize(
+        with sensed.placed():
+            results = [
+                (
                     gripper,
-                    sensed.cloud,
-                    exclude=exclude,
-                    cancelled=job.should_stop,
-                    **self._told(gripper, sensed.header, request.seed, step),
-                    **options,
-                ),
-            )
-            for gripper in grippers
-        ]
+                    self._engine.synthesize(
+                        gripper,
+                        sensed.cloud,
+                        exclude=exclude,
+                        cancelled=job.should_stop,
+                        **self._told(gripper, sensed.header, request.seed, step),
+                        **options,
+                    ),
+                )
+                for gripper in grippers
+            ]
         gripper, synthesis = best_of(results, mounted, settings.swap_cost)
         if synthesis.bin_empty:
             raise BinEmptyError(

@@ -103,7 +103,7 @@ def test_select_and_transform_carry_colours_and_views() -> None:
 
 def test_a_region_in_millimetres_is_refused_and_a_roomy_one_is_told() -> None:
     OrientedBox.around((0, 0, 0), (99.0, 1.0, 1.0)).check_units()
-    with pytest.raises(InvalidRequestError, match="400 x 300 x 150.*looks like millimetres"):
+    with pytest.raises(InvalidRequestError, match=r"400 x 300 x 150.*looks like millimetres"):
         OrientedBox.around((0, 0, 0), (400.0, 300.0, 150.0)).check_units()
     points = np.random.default_rng(0).uniform(-0.1, 0.1, (500, 3))
     assert not OrientedBox.around((0, 0, 0), (3.0, 3.0, 1.0)).doubt(points)

@@ -184,7 +184,7 @@ class DepthImage:
 def _looking_at(direction: np.ndarray) -> np.ndarray:
     length = float(np.linalg.norm(direction))
     if length < 1e-6:
-        raise InvalidRequestError(
+        raise SensorPlaceError(
             "the sensor position is the middle of the cloud; expected a position outside it. Give "
             "the position of the camera in the frame of the cloud."
         )

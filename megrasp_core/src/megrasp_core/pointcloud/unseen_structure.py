@@ -48,8 +48,7 @@ RIM = 0.004
 LOWEST = 0.5
 """Percentile of the heights that an unknown floor is taken from."""
 DEEPEST = (0.5, 1.5)
-"""A floor may lie so far (m) below the lowest points: the less, however narrow the cloud, the more,
-however wide it is, and between them as far as the cloud is wide."""
+"""A floor may lie as far below the lowest points as the cloud is wide, within these limits (m)."""
 
 
 @dataclass(frozen=True)
