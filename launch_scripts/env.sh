@@ -4,7 +4,7 @@
 #
 # For bash and zsh from anywhere; for other POSIX shells from the root of the repository, or with MEGRASP_ROOT
 # set to it. Variables that are set already are kept: ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE,
-# FASTRTPS_DEFAULT_PROFILES_FILE.
+# FASTRTPS_DEFAULT_PROFILES_FILE. MEGRASP_VENV names another venv than .venv, as for setup.sh.
 
 # In quotes: other shells would stumble over what they do not know.
 _megrasp_shell=sh
@@ -31,14 +31,23 @@ set +eu
 if [ -f "/opt/ros/jazzy/setup.$_megrasp_shell" ]; then
   . "/opt/ros/jazzy/setup.$_megrasp_shell"
 fi
-if [ -f "$_megrasp_root/.venv/bin/activate" ]; then
-  . "$_megrasp_root/.venv/bin/activate"
+_megrasp_venv="${MEGRASP_VENV:-$_megrasp_root/.venv}"
+if [ -f "$_megrasp_venv/bin/activate" ]; then
+  . "$_megrasp_venv/bin/activate"
 fi
 if [ -f "$_megrasp_root/ros2_ws/install/local_setup.$_megrasp_shell" ]; then
   # local_setup.sh is the one that cannot find its own place.
   COLCON_CURRENT_PREFIX="$_megrasp_root/ros2_ws/install"
   . "$_megrasp_root/ros2_ws/install/local_setup.$_megrasp_shell"
   unset COLCON_CURRENT_PREFIX
+fi
+# Where there is no `ros2 run`: megrasp_call and the nodes by their names.
+_megrasp_nodes="$_megrasp_root/ros2_ws/install/megrasp_ros/lib/megrasp_ros"
+if [ -d "$_megrasp_nodes" ]; then
+  case ":$PATH:" in
+    *":$_megrasp_nodes:"*) ;;
+    *) export PATH="$PATH:$_megrasp_nodes" ;;
+  esac
 fi
 
 if [ -z "${FASTRTPS_DEFAULT_PROFILES_FILE:-}" ]; then
@@ -54,4 +63,4 @@ if [ -z "${ROS_AUTOMATIC_DISCOVERY_RANGE:-}" ]; then
 fi
 
 eval "$_megrasp_options"
-unset _megrasp_root _megrasp_shell _megrasp_options
+unset _megrasp_root _megrasp_venv _megrasp_nodes _megrasp_shell _megrasp_options

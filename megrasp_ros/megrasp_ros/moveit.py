@@ -59,7 +59,7 @@ def to_moveit_grasps(
         allowed_touch_objects: names in the planning scene that may be touched.
 
     Raises:
-        ImportError: moveit_msgs is not installed.
+        ImportError: moveit_msgs is not installed, with what to install.
         InvalidRequestError: no rigid matrix, a pose of the grasps is none.
     """
     offset = np.eye(4) if gripper_from_link is None else np.asarray(gripper_from_link, np.float64)
@@ -68,11 +68,24 @@ def to_moveit_grasps(
             f"gripper_from_link has shape {offset.shape} or is not rigid; expected a (4, 4) pose "
             "of the link in the gripper frame."
         )
+    if grasps.grasps:
+        _require_moveit()
     touched = list(allowed_touch_objects)
     return [
         _moveit_grasp(grasps.header, grasps.gripper, grasp, offset, link, max_effort, touched)
         for grasp in grasps.grasps
     ]
+
+
+def _require_moveit() -> None:
+    try:
+        import moveit_msgs.msg  # type: ignore[import-not-found]  # noqa: F401
+    except ImportError as error:
+        raise ImportError(
+            "moveit_msgs is not installed; expected the messages of MoveIt 2, for the grasps "
+            "as MoveIt has them. Run `sudo apt install ros-jazzy-moveit-msgs` and source ROS "
+            "again; first_that_plans takes the grasps of an answer as they are, without it."
+        ) from error
 
 
 def first_that_plans(

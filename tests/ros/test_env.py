@@ -46,3 +46,17 @@ def test_from_elsewhere(tmp_path: Path) -> None:
         refused = sourced("dash", script, tmp_path)
         assert "sourced" not in refused.stdout and "MEGRASP_ROOT" in refused.stderr
         assert "sourced" in sourced("dash", script, tmp_path, MEGRASP_ROOT=str(ROOT)).stdout
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_another_venv_and_the_nodes_on_the_path(shell: str, tmp_path: Path) -> None:
+    """In a copy of the folder layout, since the real one may not be built."""
+    nodes = tmp_path / "ros2_ws/install/megrasp_ros/lib/megrasp_ros"
+    for folder in (nodes, tmp_path / "launch_scripts", tmp_path / "mine/bin"):
+        folder.mkdir(parents=True)
+    shutil.copy(ROOT / "launch_scripts/env.sh", tmp_path / "launch_scripts")
+    (tmp_path / "mine/bin/activate").write_text("MINE=yes\n")
+    script = '. launch_scripts/env.sh; . launch_scripts/env.sh; echo "$MINE $PATH"'
+    done = sourced(shell, script, tmp_path, MEGRASP_VENV=str(tmp_path / "mine"))
+    mine, path = done.stdout.split()
+    assert mine == "yes" and path.split(":").count(str(nodes)) == 1

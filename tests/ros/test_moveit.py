@@ -185,6 +185,6 @@ def test_a_grasp_without_a_way_has_no_direction() -> None:
 def test_without_moveit_the_module_still_imports(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "moveit_msgs", None)
     monkeypatch.delitem(sys.modules, "moveit_msgs.msg")
-    with pytest.raises(ImportError):
+    with pytest.raises(ImportError, match="apt install ros-jazzy-moveit-msgs"):
         to_moveit_grasps(some_grasps(1))
     assert to_moveit_grasps(GraspArray()) == []

@@ -15,7 +15,7 @@ from megrasp_core.errors import MegraspError
 from megrasp_ros.calling import GraspServerError
 from megrasp_ros.errors import NoCloudError
 
-from .commands import list_grippers, set_gripper, synthesize, watch
+from .commands import change_tool, list_grippers, set_gripper, synthesize, watch
 from .doctor import doctor
 from .view import view
 
@@ -47,6 +47,7 @@ def run(args: Sequence[str]) -> int:
     commands = {
         "synthesize": synthesize,
         "set_gripper": set_gripper,
+        "change_tool": change_tool,
         "list": list_grippers,
         "watch": watch,
         "doctor": doctor,

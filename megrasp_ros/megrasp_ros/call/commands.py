@@ -151,6 +151,29 @@ def set_gripper(
     return 0
 
 
+def change_tool(
+    name: tyro.conf.Positional[str], namespace: str = "", timeout: float = 120.0
+) -> int:
+    """Let the tool changer (or the simulated cell) mount a gripper: its service `change_tool`. The
+    server is told by the changer's `tool_id`; `set_gripper` makes the gripper the active one.
+
+    Try:
+      megrasp_call change_tool robotiq_3f
+      megrasp_call change_tool robotiq_2f85 --namespace /cell_2
+
+    Args:
+        name: as in the changer's rack.
+        namespace: of the changer.
+        timeout: longest wait (s).
+    """
+    with GraspClient.open("megrasp_call", namespace=namespace, timeout=timeout) as client:
+        answer = client.change_tool(name)
+    say(
+        f"mounted: {answer.mounted or 'nothing'}{f' ({answer.message})' if answer.message else ''}"
+    )
+    return 0 if answer.success else 1
+
+
 def list_grippers(namespace: str = "", timeout: float = 60.0, out: Path | None = None) -> int:
     """The registered grippers; * marks the active one.
 

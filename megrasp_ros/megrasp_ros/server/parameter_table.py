@@ -255,7 +255,13 @@ TABLE: dict[str, Spec] = {
         "where the camera saw nothing there is floor or, in a region with walls, wall; otherwise "
         "that is said only of a floor that shows almost nowhere",
     ),
-    "cloud_max_age": Spec(5.0, "oldest cloud that is used (s, by its stamp); 0: any", 0.0, 3600.0),
+    "cloud_max_age": Spec(
+        5.0,
+        "oldest cloud of the topic, or depth image, that is used (s, by its stamp); 0: any. A "
+        "cloud in a request may be of any age",
+        0.0,
+        3600.0,
+    ),
     "cloud_timeout": Spec(
         5.0, "longest wait for a cloud on `points`, or all of a depth image (s)", 0.05, 600.0
     ),

@@ -83,6 +83,10 @@ def change_tool(
             "same name. Check the changer and the names in its rack."
         )
     raise ToolChangeError(
-        f"the tool changer did not mount {gripper.name!r}: {answer.message or 'no reason given'}; "
+        f"the tool changer did not mount {gripper.name!r}: {_reason(answer)}; "
         f"it says that {on}. Check the changer; the active gripper is unchanged here."
     )
+
+
+def _reason(answer: Changed) -> str:
+    return answer.message.rstrip(" .;") or "no reason given"

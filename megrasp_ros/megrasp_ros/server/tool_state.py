@@ -237,10 +237,11 @@ def mismatch(reported: str | None, active: str) -> MegraspError | None:
     if not reported:
         return ToolMismatchError(
             f"the tool changer reports no tool, or did not say which; expected {active!r}, the "
-            "active gripper. Call set_gripper with the gripper that is on the arm, or mount "
-            f"{active!r}."
+            "active gripper. Call set_gripper with the gripper that is on the arm, or let the "
+            f"changer mount {active!r} (megrasp_call change_tool {active})."
         )
     return ToolMismatchError(
         f"tool_id reports {reported!r}, but the active gripper is {active!r}; expected the same. "
-        f"Call set_gripper with {reported!r}, or mount {active!r}."
+        f"Call set_gripper with {reported!r}, or let the changer mount {active!r} (megrasp_call "
+        f"change_tool {active})."
     )

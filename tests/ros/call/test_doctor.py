@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 
-import numpy as np
 import pytest
 from cell_processes import WAIT, in_executor, own_domain, spinning_node, until
+from depth_client import depth_camera
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from megrasp_msgs.msg import ErrorCode, GraspArray
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
@@ -14,12 +15,15 @@ from server_client import Client, camera, cloud_of, still_serves, table_points
 from std_msgs.msg import String
 
 from megrasp_ros.call.app import run
-from megrasp_ros.call.server_checks import ServerChecks
+from megrasp_ros.call.server_checks import ServerChecks, cloud_topic
 from megrasp_ros.client import GraspClient
 from megrasp_ros.qos import SENSOR
 
 FOUND = dict[str, tuple[str, str]]
 
+ABOVE = [0.0, 0.0, 0.6]
+HOME = {"sensor_origin": [0.0, 0.0, 0.0]}
+"""Places of the camera."""
 SHORT = 8.0
 """Patience (s) where something is missing for good."""
 
@@ -52,7 +56,7 @@ def set_to(server: Client, before: dict, **values):
 def test_all_is_well(server: Client, monkeypatch, capsys, tmp_path) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", str(own_domain(1)))
     with (
-        set_to(server, {"cloud_timeout": 0.7}, cloud_timeout=30.0),
+        set_to(server, {"cloud_timeout": 0.7, **HOME}, cloud_timeout=30.0, sensor_origin=ABOVE),
         camera(server, table_points()),
     ):
         found = looked_at()
@@ -95,6 +99,7 @@ def test_a_server_that_is_not_active_or_of_another_version() -> None:
         other.executor.add_node(stranger)
         found = looked_at(6, patience=SHORT)
         assert found["server"][0] == "fail" and "is unconfigured" in found["server"][1]
+        assert "health" in found, "where the reason stands"
         in_executor(other, stranger.trigger_configure)
         in_executor(other, stranger.trigger_activate)
         found = looked_at(6, patience=SHORT)
@@ -151,7 +156,45 @@ def test_depth_images_and_their_camera() -> None:
         camera.create_publisher(Image, "depth", SENSOR)
         assert checks.images()[0].text.startswith("nobody publishes /camera_info;")
         camera.create_publisher(CameraInfo, "camera_info", SENSOR)
-        assert until(lambda: checks.images()[0].level == "ok", WAIT)
+        assert until(lambda: "nothing came" in checks.images()[0].text, WAIT)
+
+
+def test_depth_images_go_through_frame_and_gravity(server: Client) -> None:
+    with set_to(server, {"input": "points"}, input="depth"), depth_camera(server):
+        found = looked_at()
+        assert found["images"][0] in ("ok", "warn"), found
+        assert found["gravity"][0] == "fail" and "gravity: [0.0, 0.0, 1.0]" in found["gravity"][1]
+        with set_to(server, {"gravity": [0.0] * 3}, gravity=[0.0, 0.0, 1.0]):
+            assert looked_at()["view"][0] == "ok"
+
+
+def test_topics_that_the_server_is_remapped_to() -> None:
+    """It alone knows them; what comes on the plain name does not count."""
+    told = {"topic points": "/dead", "topic depth": "/depth", "topic camera_info": "/gone"}
+    status = DiagnosticStatus(
+        name="/grasp_server",
+        level=DiagnosticStatus.WARN,
+        message="the changer reports franka_hand",
+        values=[
+            KeyValue(key=key, value=value)
+            for key, value in (
+                *told.items(), ("tool_id", "franka_hand"), ("active gripper", "robotiq_2f85")
+            )
+        ],
+    )  # fmt: skip
+    with (
+        spinning_node(own_domain(6), "grasp_server") as server,
+        GraspClient.open("doctor", domain_id=own_domain(6)) as client,
+    ):
+        publisher = server.create_publisher(DiagnosticArray, "/diagnostics", 1)
+        server.create_publisher(PointCloud2, "points", SENSOR)
+        server.create_timer(0.2, lambda: publisher.publish(DiagnosticArray(status=[status])))
+        checks = ServerChecks(client, "grasp_server", "points", 1.0, SHORT)
+        (health,) = checks.health()
+        assert health.level == "fail" and "203" in health.text and "robotiq_2f85" in health.text
+        assert "nobody publishes /dead" in checks.cloud()[0].text
+        assert "nobody publishes /depth, /gone" in checks.images()[0].text
+        assert cloud_topic(client.node, "grasp_server") == "/dead"
 
 
 def test_slow_old_and_early_clouds(server: Client) -> None:
@@ -179,7 +222,12 @@ def test_a_clock_that_stands_still(server: Client) -> None:
         ({"planning_frame": "base"}, "cam", 1.0, "frame", "extrinsics: [x, y, z"),
         ({}, "camera_color_optical_frame", 1.0, "gravity", "gravity: [0.0, 0.0, 1.0]"),
         ({}, "world", 1000.0, "view", "expected metres"),
+        ({}, "world", 1000.0, "view", "the driver publishes metres"),
         ({"gravity": [0.0, 0.0, 1.0]}, "world", 1.0, "view", "points down"),
+        ({"gravity": [0.0, 0.0, 1.0], "sensor_origin": [0.0] * 3},
+         "world", 1.0, "view", "sensor_origin is not set"),
+        ({"sensor_origin": [0.0] * 3}, "world", 1.0, "view", "sensor_origin is not set"),
+        ({"floor": [-12.0]}, "world", 1.0, "floor", "below the lowest points"),
         ({"region__size": [0.1, 0.1, 0.1], "region__pose": [5.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]},
          "world", 1.0, "region", "no point lies in it"),
         ({"region__size": [0.02, 0.02, 0.02]}, "world", 1.0, "region", "only"),
@@ -190,11 +238,10 @@ def test_frames_gravity_units_region(
 ) -> None:
     before = {
         "planning_frame": "", "gravity": [0.0] * 3, "region__size": [0.0] * 3,
-        "region__pose": [0.0] * 6 + [1.0], "sensor_origin": [0.0] * 3,
+        "region__pose": [0.0] * 6 + [1.0], "sensor_origin": [0.0] * 3, "floor": [0.0] * 4,
     }  # fmt: skip
-    origin = np.array([0.0, 0.0, 0.6])
     with (
-        set_to(server, before, sensor_origin=origin.tolist(), **parameters),
+        set_to(server, before, **{"sensor_origin": ABOVE, **parameters}),
         camera(server, scale * table_points(), frame=frame),
     ):
         level, text = looked_at()[what]

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from cell_processes import until
+from cell_processes import in_executor, until
 from geometry_msgs.msg import Pose, PoseArray, Vector3
 from megrasp_msgs.msg import ErrorCode, OrientedBox
 from sensor_msgs.msg import PointCloud2
@@ -19,6 +19,8 @@ from server_client import (
     still_serves,
     table_points,
 )
+
+from megrasp_ros.qos import SENSOR
 
 
 def box(size: tuple[float, float, float], z: float = 0.05) -> OrientedBox:
@@ -53,6 +55,11 @@ BAD_REQUESTS = {
         ["exclude[1]", "unit quaternion"],
     ),
     "region": (lambda c: {"region": box((0.1, -0.1, 0.1))}, ErrorCode.INVALID_REQUEST, ["over 0"]),
+    "region in millimetres": (
+        lambda c: {"region": box((400.0, 300.0, 150.0))},
+        ErrorCode.INVALID_REQUEST,
+        ["400 x 300 x 150", "looks like millimetres"],
+    ),
     "region of a galaxy": (
         lambda c: {"region": box((1e300, 1e300, 1e300))},
         ErrorCode.INVALID_REQUEST,
@@ -76,7 +83,7 @@ BAD_REQUESTS = {
     "millimetres": (
         lambda c: {"cloud": cloud_of(c, 1000 * POINTS)},
         ErrorCode.BAD_CLOUD,
-        ["looks like millimetres", "0.001"],
+        ["looks like millimetres", "0.001", "REP 103"],
     ),
     "no z": (lambda c: {"cloud": without_z(c)}, ErrorCode.BAD_CLOUD, ["lacks z"]),
     "unknown gripper": (
@@ -110,6 +117,17 @@ def test_an_empty_cloud_on_the_topic_is_error_102(server: Client) -> None:
         answer = server.synthesize(num_grasps=1)
     assert answer.error_code == ErrorCode.BAD_CLOUD, answer.error_msg
     assert "empty" in answer.error_msg
+
+
+def test_error_100_names_the_topics_with_clouds(server: Client) -> None:
+    elsewhere = server.node.create_publisher(PointCloud2, "camera/points", SENSOR)
+    try:
+        assert until(lambda: "/camera/points" in server.synthesize(num_grasps=1).error_msg), (
+            "and how to take one"
+        )
+        assert "points:=/camera/points" in server.synthesize(num_grasps=1).error_msg
+    finally:
+        in_executor(server.node, lambda: server.node.destroy_publisher(elsewhere))
 
 
 def test_a_cloud_with_an_old_stamp_is_error_101(server: Client) -> None:
@@ -164,6 +182,7 @@ def test_a_failing_model_is_answered_and_can_be_replaced(
         ({"gravity": [0.0, 1.0]}, "3 finite numbers"),
         ({"extrinsics": [0.0, 0, 0, 0, 0, 0, 3.0]}, "unit quaternion"),
         ({"region__size": [0.4, 0.0, 0.2]}, "edges over 0"),
+        ({"region__size": [400.0, 300.0, 150.0]}, "looks like millimetres"),
         ({"pose_reference": "wrist"}, "gripper, tcp, flange"),
         ({"num_grasps": 0}, "num_grasps"),
         ({"approach_distance": 5.0}, "approach_distance"),
