@@ -14,6 +14,8 @@ from .cloud import Cloud
 
 OBLONG = 1.5
 """No pixel is longer than wide, or wider than long, by this."""
+SMALLEST_PICTURE = 64
+"""Images of fewer columns do not come from a camera as they are."""
 FARTHEST = 1e3
 """A depth beyond it (m) is no reading."""
 MILLIMETRES = 0.001
@@ -58,6 +60,8 @@ def _check_matrix(k: NDArray[np.float64], shape: tuple[int, ...]) -> None:
             f"the camera matrix is {k.tolist()}; expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]. "
             "It may be transposed."
         )
+    if width < SMALLEST_PICTURE:
+        return
     if not 1 / OBLONG < fx / fy < OBLONG:
         raise CloudError(
             f"the focal lengths are fx {fx:g} and fy {fy:g}; expected nearly the same (square "
@@ -67,10 +71,11 @@ def _check_matrix(k: NDArray[np.float64], shape: tuple[int, ...]) -> None:
         raise CloudError(
             f"the principal point cx {cx:g}, cy {cy:g} lies outside the image of {width} x "
             f"{height} pixels; expected it near the middle. Are the intrinsics of another "
-            "resolution? Scale all four by the same factor. The order is fx fy cx cy."
+            "resolution? Scale all four by the same factor. The order is fx fy cx cy. A part cut "
+            "from an image is filled up with zeros to the whole."
         )
-    off = np.array([2.0 * cx / (width - 1), 2.0 * cy / (height - 1)])
-    if width >= 64 and off.max() < 0.8 and abs(off[0] - off[1]) < 0.05:
+    off = np.array([2.0 * cx / width, 2.0 * cy / height])
+    if off.max() < 0.8 and abs(off[0] - off[1]) < 0.05:
         raise CloudError(
             f"the principal point is cx {cx:g}, cy {cy:g} in an image of {width} x {height} "
             "pixels; expected it near the middle. The intrinsics seem to be of an image of about "

@@ -96,7 +96,7 @@ def without_zeros(cloud: Cloud) -> Cloud:
     if cloud.viewpoint is not None:
         # Transformed in 32 bits, they are where the sensor is but for the last bit.
         near = np.isclose(cloud.points, cloud.viewpoint, rtol=1e-6, atol=1e-6)
-        empty |= _several(near.all(axis=1))
+        empty |= _several(np.asarray(near.all(axis=1)))
     return cloud.select(~empty) if empty.any() else cloud
 
 

@@ -81,7 +81,8 @@ def read_pcd(path: Path, *, optical: bool = False) -> Cloud:
     else:
         columns = _binary(path, data, start, header)
     by_name = {name: columns[f"{place} {name}"] for place, name in enumerate(header.fields)}
-    points = np.stack([by_name[name] for name in "xyz"], axis=1).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # signalling NaN
+        points = np.stack([by_name[name] for name in "xyz"], axis=1).astype(np.float64)
     cloud = Cloud(points, _colours(header, by_name))
     return _seen_from(path, cloud, header.viewpoint, optical=optical)
 
@@ -255,14 +256,13 @@ def _colours(header: Header, columns: dict[str, NDArray]) -> NDArray[np.float64]
         return None
     # A float holds the bits of the number 0xRRGGBB; text may spell either.
     if kind.kind == "f":
-        return unpacked(values.astype(np.float32).view(np.uint32))
+        with np.errstate(invalid="ignore", over="ignore"):
+            return unpacked(values.astype(np.float32).view(np.uint32))
     with np.errstate(invalid="ignore"):  # text may be any number
         return unpacked(values.astype(np.int64).astype(np.uint32))
 
 
-def _seen_from(
-    path: Path, cloud: Cloud, viewpoint: tuple[float, ...], *, optical: bool
-) -> Cloud:
+def _seen_from(path: Path, cloud: Cloud, viewpoint: tuple[float, ...], *, optical: bool) -> Cloud:
     """The cloud with where its sensor was."""
     if viewpoint == UNSET:
         return cloud

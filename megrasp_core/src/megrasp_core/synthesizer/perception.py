@@ -9,6 +9,7 @@ from megrasp_core.pointcloud import (
     SceneNodes,
     SceneSettings,
     SurfaceCloud,
+    check_not_upside_down,
     only_support_left,
     scene_nodes,
     surface_cloud,
@@ -81,13 +82,17 @@ def perceive(
     region = request.region
     doubt = region.doubt(surface.points) if region is not None else ""
     objects = LabelledObjects.of(surface, request.target)
+    # Under a floor that is only thought to be there, a flat object may be all that is seen.
+    empty = not structure.estimated and only_support_left(
+        surface.points, request.region, surface.gravity
+    )
+    if empty and request.region is None:
+        check_not_upside_down(surface.points, surface.gravity)
     return Perceived(
         scene_nodes(surface, scene),
         SceneJudge(surface, request, ranking, objects),
         surface,
-        # Under a floor that is only thought to be there, a flat object may be all that is seen.
-        not structure.estimated
-        and only_support_left(surface.points, request.region, surface.gravity),
+        empty,
         tuple(f"{note.rstrip('.')}." for note in (doubt, structure.note) if note),
         objects,
     )
