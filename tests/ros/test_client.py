@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import rclpy
 from cell_processes import WAIT, in_executor, own_domain, until
 from megrasp_msgs.msg import ErrorCode, OrientedBox
 from megrasp_msgs.srv import DetectBin
-from server_client import Client, camera, cloud_of, still_serves, table_points
+from server_client import Client, camera, cloud_of, running_server, still_serves, table_points
 
 from megrasp_core.grippers import load_gripper
 from megrasp_core.storage import AttemptFolder, read_attempt
@@ -53,6 +54,27 @@ def test_a_server_that_is_not_there_is_told(server: Client) -> None:
         client.wait_until_ready(0.3)
     with pytest.raises(GraspServerError, match=r"action .*generate_grasps is not there"):
         client.generate(3)
+
+
+def test_waiting_for_a_server_leaves_its_log_alone(tmp_path: Path) -> None:
+    """It is asked for its state; where it cannot be configured, the reason is raised."""
+    with running_server(7, tmp_path, model="late", autostart=False) as (_, processes):
+        with GraspClient.open(domain_id=own_domain(7), timeout=WAIT) as client:
+            with pytest.raises(GraspServerError) as error:
+                client.wait_until_ready(4.0)
+            assert error.value.code == ErrorCode.NOT_ACTIVE
+        before = processes.log("grasp_server").count("WARN")
+        assert before <= 2, "one answer at the end, not one for each look"
+
+
+def test_a_server_that_cannot_be_configured_is_told(tmp_path: Path) -> None:
+    with (
+        running_server(7, tmp_path, model="damaged") as _,
+        GraspClient.open(domain_id=own_domain(7), timeout=WAIT) as client,
+    ):
+        with pytest.raises(GraspServerError, match="configuring it failed") as error:
+            client.wait_until_ready(WAIT)
+        assert error.value.code == ErrorCode.MODEL_NOT_LOADED
 
 
 def test_a_node_that_nobody_spins_is_told() -> None:

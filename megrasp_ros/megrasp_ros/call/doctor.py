@@ -31,7 +31,7 @@ def doctor(
     Args:
         namespace: of the server.
         server: name of its node.
-        points: topic that the server's `points` is remapped to.
+        points: topic that clouds are expected on, where no server tells its own.
         seconds: how long topics are listened to.
         timeout: longest wait (s) for nodes to be found and for answers.
         out: file with the lines (JSON).

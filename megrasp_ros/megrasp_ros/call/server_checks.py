@@ -22,8 +22,10 @@ from megrasp_core.pointcloud import (
     DepthImage,
     Plane,
     SurfaceCloud,
+    check_not_upside_down,
     check_view,
     level_floor,
+    only_support_left,
     surface_cloud,
     unseen_structure,
 )
@@ -460,6 +462,8 @@ def _surface(
         return None
     for view in surface.views:
         DepthImage(view.points, view.sensor)
+    if region is None and only_support_left(surface.points, region, surface.gravity):
+        check_not_upside_down(surface.points, surface.gravity)
     return surface
 
 

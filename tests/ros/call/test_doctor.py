@@ -133,9 +133,12 @@ def test_no_cloud_where_the_server_looks(server: Client) -> None:
     try:
         level, text = looked_at(patience=5.0)["points"]
         assert level == "fail" and "points:=/camera/points" in text
-        # A publisher that publishes nothing.
-        level, text = looked_at(points="camera/points")["points"]
-        assert level == "fail" and "no cloud came in 2 s" in text
+        # What the server listens to counts, and without one what is given.
+        level, text = looked_at(points="camera/points", patience=5.0)["points"]
+        assert level == "fail" and "nobody publishes /points" in text
+        with GraspClient.open("doctor", domain_id=own_domain(1)) as client:
+            (line,) = ServerChecks(client, "no_server", "camera/points", 1.0, SHORT).cloud()
+        assert line.level == "fail" and "nothing came in 1 s" in line.text
     finally:
         in_executor(server.node, lambda: server.node.destroy_publisher(elsewhere))
 

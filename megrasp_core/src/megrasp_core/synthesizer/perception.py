@@ -69,6 +69,7 @@ def perceive(
 
     assert not isinstance(request.floor, (int, float))  # a plane since it was checked
     surface = seen(cloud)
+    doubt = "" if request.region is None else request.region.doubt(surface.points)
     structure = unseen_structure(
         surface,
         floor=request.floor,
@@ -79,8 +80,6 @@ def perceive(
         found = Cloud(structure.points, viewpoint=structure.seen_from)
         origin = cloud.viewpoint if request.sensor is None else request.sensor
         surface = seen(replace(cloud, viewpoint=origin).joined(found))
-    region = request.region
-    doubt = region.doubt(surface.points) if region is not None else ""
     objects = LabelledObjects.of(surface, request.target)
     # Under a floor that is only thought to be there, a flat object may be all that is seen.
     empty = not structure.estimated and only_support_left(
