@@ -144,6 +144,7 @@ def set_gripper(
         out: file with the gripper's facts (JSON).
     """
     with GraspClient.open("megrasp_call", namespace=namespace, timeout=timeout) as client:
+        client.wait_until_ready(timeout)
         info = client.set_gripper(name, dry_run=dry_run)
     if out is not None:
         emit(message_json(info), out)

@@ -99,7 +99,16 @@ def test_the_executable(server: Client) -> None:
     program = Path(get_package_prefix("megrasp_ros")) / "lib" / "megrasp_ros" / "megrasp_call"
     told = subprocess.run([program, "--help"], capture_output=True, text=True, env=os.environ)
     assert told.returncode == 0
-    for name in ("synthesize", "set_gripper", "list", "watch", "doctor", "view", "Exit codes"):
+    for name in (
+        "synthesize",
+        "set_gripper",
+        "change_tool",
+        "list",
+        "watch",
+        "doctor",
+        "view",
+        "Exit codes",
+    ):
         assert name in told.stdout.replace("-", "_") + told.stdout
     assert not server.parameters(cloud_timeout=600.0)
     try:
