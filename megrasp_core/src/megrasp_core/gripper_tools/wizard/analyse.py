@@ -85,8 +85,9 @@ def analyse(prepared: Prepared, overrides: Overrides) -> Analysis:
     fingers = find_fingers(mechanism, prepared.motion)
     if not fingers:
         raise DescriptionError(
-            "no joint moves a link with a shape; expected fingers. Name the gripper's link if the "
-            "model holds more: --root LINK"
+            f"none of the {mechanism.model.njnt} joints moves a link with a shape over its range; "
+            "expected fingers. Check the limits and mimic multipliers of the model, or name the "
+            "gripper's link if the model holds more: --root LINK"
         )
     hand = _is_hand(fingers) if overrides.kind is None else overrides.kind == "hand"
     kind = overrides.kind or _kind(fingers, hand)
