@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from wizard_models import INERTIAL, shape, slides
 
+from megrasp_core.errors import DescriptionError
 from megrasp_core.gripper_tools.wizard import ModelRequest, NewGripper, SourceOptions, new_gripper
 
 
@@ -62,3 +64,62 @@ def test_jaws_on_a_gear(tmp_path, kind, limits, gain, seen):
     if kind != "prismatic":
         # The fingers push as ones with drives of their own do.
         assert result.description.actuation["drive"].force / gain == pytest.approx(40.0)
+
+
+def pairs(places: tuple[str, str], palms: bool) -> str:
+    """Return the URDF of two pairs of jaws on one base.
+
+    Args:
+        places: x y z (m) of each on the base.
+        palms: whether each has a palm; else their fingers hang from the base.
+    """
+    parts = [f'<link name="base">{shape("0.1 0.1 0.02", "0 0 -0.01")}</link>']
+    for side, place in zip("ab", places, strict=True):
+        text = slides(0.04).removeprefix('<robot name="jaws">').removesuffix("</robot>")
+        for name in ("palm", "fl", "fr", "left", "right"):
+            text = text.replace(f'"{name}"', f'"{name}_{side}"')
+        if not palms:
+            x, y, _ = place.split()
+            text = text[text.index("</link>") + len("</link>") :]
+            text = text.replace(f'"palm_{side}"', '"base"')
+            for sign in ("-", ""):
+                moved = f"{float(x) + float(sign + '0.005'):g} {y} 0.0"
+                text = text.replace(f'"{sign}0.005 0 0.06"', f'"{moved}"')
+            parts.append(text)
+            continue
+        parts.append(
+            f'{text}<joint name="mount_{side}" type="fixed"><parent link="base"/>'
+            f'<child link="palm_{side}"/><origin xyz="{place}"/></joint>'
+        )
+    return "".join(['<robot name="two">', *parts, "</robot>"])
+
+
+@pytest.mark.parametrize("places", [("-0.09 0 0", "0.09 0 0"), ("0 0 0", "0 0.3 0")])
+def test_two_grippers_are_refused(tmp_path, places):
+    """Each is named by the link that its fingers hang from, and that link alone is understood."""
+    text = pairs(places, palms=True)
+    with pytest.raises(DescriptionError, match=r"two grippers.*--root palm_a or --root palm_b"):
+        made(tmp_path / "both", text)
+    assert made(tmp_path / "one", text, root="palm_b").description.fingers == (
+        ("fl_b",),
+        ("fr_b",),
+    )
+
+
+def test_two_pairs_on_one_link(tmp_path):
+    """No link holds one of them alone, so the other's fingers are to be left out."""
+    text = pairs(("-0.09 0 0", "0.09 0 0"), palms=False)
+    with pytest.raises(
+        DescriptionError, match=r"two grippers.*--without f[lr]_b --without f[lr]_b"
+    ):
+        made(tmp_path / "both", text)
+    alone = made(tmp_path / "one", text, without=("fl_b", "fr_b"))
+    assert alone.description.max_width == pytest.approx(0.08, abs=1e-3)
+
+
+def test_two_fingers_on_either_side_are_one_gripper(tmp_path):
+    """Side by side, on drives of their own, they close on one place."""
+    result = made(tmp_path, pairs(("0 -0.02 0", "0 0.02 0"), palms=False))
+    sides = {frozenset(group) for group in result.description.fingers}
+    assert sides == {frozenset({"fl_a", "fl_b"}), frozenset({"fr_a", "fr_b"})}
+    assert np.abs(result.analysis.tcp[:2]).max() < 1e-3

@@ -20,6 +20,7 @@ from .motion import DriveMotion
 from .opposition import Opposition
 from .pads import Pad
 from .prepare import Prepared
+from .several import refuse_several
 from .single import oppose_single
 from .tcp import PadFinder, find_tcp
 from .window import closing_window, looking_from
@@ -91,6 +92,8 @@ def analyse(prepared: Prepared, overrides: Overrides) -> Analysis:
         )
     hand = _is_hand(fingers) if overrides.kind is None else overrides.kind == "hand"
     kind = overrides.kind or _kind(fingers, hand)
+    if not hand and not (overrides.open and overrides.closed):
+        refuse_several(mechanism, prepared.motion, fingers)
     motion = given_window(mechanism, prepared.motion, fingers, overrides)
     if not hand and len(fingers) > 1 and not (overrides.open and overrides.closed):
         motion = closing_window(mechanism, motion, fingers)

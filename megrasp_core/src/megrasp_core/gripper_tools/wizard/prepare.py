@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from .cleaning import clean, cut_out, limit_slides, steady_urdf
 from .drives import find_drives
 from .findings import Notes
 from .foreign import leave_out_foreign
-from .mechanism import Mechanism, find_mechanism, rigid_parts
+from .mechanism import Mechanism, find_mechanism, rigid_parts, shared_link
 from .meshes import FOLDER
 from .motion import DriveMotion
 from .source import SourceOptions, is_urdf, read_source
@@ -167,20 +167,7 @@ def provisional_description(folder: Path) -> GripperDescription:
 def _gripper_root(mechanism: Mechanism) -> str:
     """Return the lowest link of the palm that all fingers hang from."""
     roots = [branch.root for branch in mechanism.branches]
-    return _shared_link(mechanism.model, roots, mechanism.palm)
-
-
-def _shared_link(model: mujoco.MjModel, roots: Sequence[int], part: Sequence[int]) -> str:
-    """Return the lowest body of a rigid part that all of the bodies `roots` hang from."""
-    lines = []
-    for root in roots:
-        line, body = [], int(model.body_parentid[root])
-        while body in part and body not in line:
-            line.append(body)
-            body = int(model.body_parentid[body])
-        lines.append(line)
-    shared = [body for body in lines[0] if all(body in line for line in lines)]
-    return model.body(shared[0] if shared else part[0]).name
+    return shared_link(mechanism.model, roots, mechanism.palm)
 
 
 def _refuse_robot(mechanism: Mechanism, path: Path) -> None:
@@ -192,7 +179,7 @@ def _refuse_robot(mechanism: Mechanism, path: Path) -> None:
     for part, bodies in parts.items():
         own = [p for p in parts if p and int(model.body_weldid[model.body_parentid[p]]) == part]
         if part and len(own) >= 2:
-            names.append(_shared_link(model, own, bodies))
+            names.append(shared_link(model, own, bodies))
     listed = ", ".join(names[:MOST_NAMES]) or "none has two moving links"
     raise DescriptionError(
         f"{path}: a limb of {mechanism.branches[0].reach:.2f} m moves, so this is more than a "
