@@ -6,18 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from wizard_models import INERTIAL, shape, slides
+from wizard_models import INERTIAL, SINGLE, arm, mjcf, shape, slides
 
 from megrasp_core.errors import DescriptionError
 from megrasp_core.gripper_tools.wizard import ModelRequest, NewGripper, SourceOptions, new_gripper
 
 
 def made(folder: Path, text: str, **source: object) -> NewGripper:
-    """Write a URDF and run the wizard on it, without a picture."""
+    """Write a URDF or MJCF and run the wizard on it, without a picture."""
     folder.mkdir(exist_ok=True)
-    (folder / "model.urdf").write_text(text)
+    (folder / "model.xml").write_text(text)
     options = SourceOptions(**source)  # type: ignore[arg-type]
-    return new_gripper(ModelRequest(folder / "model.urdf", folder / "out", options), picture=False)
+    return new_gripper(ModelRequest(folder / "model.xml", folder / "out", options), picture=False)
 
 
 def driven(kind: str, limits: tuple[float, float] | None, gain: float, seen: bool) -> str:
@@ -123,3 +123,54 @@ def test_two_fingers_on_either_side_are_one_gripper(tmp_path):
     sides = {frozenset(group) for group in result.description.fingers}
     assert sides == {frozenset({"fl_a", "fl_b"}), frozenset({"fr_a", "fr_b"})}
     assert np.abs(result.analysis.tcp[:2]).max() < 1e-3
+
+
+CUP = (
+    '<body name="cup_{0}" pos="{1} {2} 0.01"><joint name="j_{0}" {3}/>'
+    '<geom type="cylinder" size="0.015 {4}" pos="0 0 {4}"/></body>'
+)
+IN_AND_OUT = 'type="slide" axis="0 0 -1" range="0 {}"'
+TILTING = 'axis="0 1 0" range="-0.2 0.2"'
+
+
+@pytest.mark.parametrize(
+    ("places", "joint", "half"),
+    [
+        ([(-0.07, 0.0), (0.07, 0.0)], IN_AND_OUT.format(0.02), 0.015),
+        ([(-0.03, 0.0), (0.03, 0.0)], IN_AND_OUT.format(0.05), 0.04),
+        ([(x, y) for x in (-0.07, 0.07) for y in (-0.07, 0.07)], IN_AND_OUT.format(0.02), 0.015),
+        ([(-0.07, 0.0), (0.07, 0.0)], TILTING, 0.025),
+    ],
+)
+def test_cups_are_refused(tmp_path, places, joint, half):
+    """Bellows that go into their plate one by one, and cups that tilt."""
+    cups = "".join(CUP.format(k, x, y, joint, half) for k, (x, y) in enumerate(places))
+    plate = '<geom type="box" size="0.1 0.1 0.01"/>'
+    with pytest.raises(DescriptionError, match="suction tools are not supported"):
+        made(tmp_path, mjcf(f'<body name="plate">{plate}{cups}</body>'))
+
+
+LAST = (
+    '<body name="last" pos="0 0 0.2"><joint name="wrist" axis="{}" range="{}"/>'
+    '<geom type="capsule" size="0.04 0.06" pos="0 0 0.1"/>'
+    '<geom type="box" size="0.005 0.01 0.03" pos="-0.03 0 0.22"/>'
+    '<geom type="box" size="0.005 0.01 0.03" pos="0.03 0 0.22"/></body>'
+)
+
+
+@pytest.mark.parametrize(
+    ("axis", "limits"), [("0 1 0", "-3 3"), ("0 1 0", "0 2.9"), ("0 0 1", "-1.5 1.5")]
+)
+def test_arm_without_a_gripper_is_refused(tmp_path, axis, limits):
+    """Its last link bends back or turns about itself; its fingers do not move."""
+    with pytest.raises(DescriptionError, match=r"no gripper found: 5 joints lead .*'last'"):
+        made(tmp_path, arm(LAST.format(axis, limits), joints=5))
+
+
+def test_single_jaw_on_an_arm(tmp_path):
+    """One jaw that closes against its base is a gripper on an arm, too."""
+    jaw = SINGLE[SINGLE.index("<body") : SINGLE.rindex("</worldbody>")]
+    plain = made(tmp_path / "plain", SINGLE)
+    carried = made(tmp_path / "arm", arm(jaw.replace('"base"', '"base" pos="0 0 0.23"', 1)))
+    assert any("cut at link 'base'" in note for note in carried.notes)
+    assert carried.analysis.tcp == pytest.approx(plain.analysis.tcp, abs=1e-3)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from megrasp_core.errors import DescriptionError
 
 from .axes import Axes, find_axes
+from .bare_arm import no_gripper, refuse_backwards, refuse_wrist
 from .fingers import Finger, find_fingers
 from .hands import oppose_hand
 from .jaws import divide_jaws, oppose_jaws
@@ -24,6 +25,9 @@ from .several import refuse_several
 from .single import oppose_single
 from .tcp import PadFinder, find_tcp
 from .window import closing_window, looking_from
+
+WRIST_JOINTS = 2
+"""From so many joints above it on, the only finger may be the last link of an arm."""
 
 HAND_FINGERS = 4
 """From so many fingers on, one of which turns its plane, it is a hand, however each is bent."""
@@ -97,7 +101,17 @@ def analyse(prepared: Prepared, overrides: Overrides) -> Analysis:
     motion = given_window(mechanism, prepared.motion, fingers, overrides)
     if not hand and len(fingers) > 1 and not (overrides.open and overrides.closed):
         motion = closing_window(mechanism, motion, fingers)
-    opposition = _opposition(mechanism, motion, fingers, hand, overrides)
+    # With both postures given, the user has said that it closes.
+    arm = 0 if overrides.open and overrides.closed else prepared.carried
+    wrist = len(fingers) == 1 and arm >= WRIST_JOINTS and not fingers[0].sliding
+    if wrist:
+        refuse_wrist(motion, fingers[0], arm)
+    try:
+        opposition = _opposition(mechanism, motion, fingers, hand, overrides)
+    except DescriptionError as error:
+        if not wrist:
+            raise
+        raise no_gripper(fingers[0], arm, "closes on nothing") from error
 
     def axes_of(opposition: Opposition) -> Axes:
         return find_axes(
@@ -128,6 +142,8 @@ def analyse(prepared: Prepared, overrides: Overrides) -> Analysis:
             axes = axes_of(opposition)
             opposition = _first_group_on_minus_x(opposition, axes)
             opposition = _met(mechanism, motion, opposition, axes, overrides)
+    if wrist:
+        refuse_backwards(mechanism, motion, opposition, axes.approach, fingers[0], arm)
     finder = PadFinder(mechanism, motion, opposition, axes)
     opened = finder.pad(opposition.open)
     length = None if opened is None else opened.length

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
@@ -42,13 +42,14 @@ MOST_NAMES = 40
 @dataclass(frozen=True)
 class Prepared:
     """A clean model: `folder` holds model.xml and meshes/; `model` is it compiled as the loader
-    compiles it; `mechanism` and `motion` belong to it.
+    compiles it; `mechanism` and `motion` belong to it. `carried`: joints that lead to the palm.
     """
 
     folder: Path
     model: mujoco.MjModel
     mechanism: Mechanism
     motion: DriveMotion
+    carried: int = 0
 
 
 def prepare(
@@ -94,10 +95,11 @@ def prepare(
     if options.root is not None:
         spec = cut_out(spec, options.root)
     prepared = _written(spec, folder, path)
-    if len(prepared.mechanism.above) >= ARM_JOINTS and options.root is None:
+    carried = len(prepared.mechanism.above)
+    if carried >= ARM_JOINTS and options.root is None:
         link = _gripper_root(prepared.mechanism)
         notes.add(
-            f"{len(prepared.mechanism.above)} joints lead to the palm, so this is an arm with a "
+            f"{carried} joints lead to the palm, so this is an arm with a "
             f"gripper: cut at link '{link}' (another: --root LINK)"
         )
         spec = cut_out(spec, link)
@@ -105,7 +107,7 @@ def prepare(
     _refuse_robot(prepared.mechanism, path)
     if leave_out_foreign(spec, prepared.mechanism, prepared.motion, notes):
         prepared = _written(spec, folder, path)
-    return prepared
+    return replace(prepared, carried=carried)
 
 
 def _compile(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
