@@ -27,7 +27,7 @@ from .mechanism import Mechanism, find_mechanism, rigid_parts, shared_link
 from .meshes import FOLDER
 from .motion import DriveMotion
 from .source import SourceOptions, is_urdf, read_source
-from .units import check_units, scale_meshes, scale_model
+from .units import check_units, far_root, scale_meshes, scale_model
 
 MODEL_FILE = "model.xml"
 ARM_JOINTS = 3
@@ -80,6 +80,14 @@ def prepare(
         scale_model(spec, options.scale)
         notes.add(f"all lengths scaled by {options.scale:g}")
     model = _compile(spec, path)
+    if options.root is not None:
+        # Units are those of what is left.
+        spec = cut_out(spec, options.root)
+        model = _compile(spec, path)
+    elif (far := far_root(model)) is not None:
+        notes.add(f"the model stands far from its origin: the frame of link '{far}' is taken")
+        spec = cut_out(spec, far)
+        model = _compile(spec, path)
     if options.scale is None and scale_meshes(spec, model, notes):
         model = _compile(spec, path)
     factor = check_units(model, path)
@@ -92,8 +100,6 @@ def prepare(
         scale_model(spec, factor)
         notes.add(f"the model's lengths look like millimetres: all scaled by {factor:g}")
     limit_slides(spec, notes)
-    if options.root is not None:
-        spec = cut_out(spec, options.root)
     prepared = _written(spec, folder, path)
     carried = len(prepared.mechanism.above)
     if carried >= ARM_JOINTS and options.root is None:
