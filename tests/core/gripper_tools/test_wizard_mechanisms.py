@@ -150,6 +150,20 @@ def test_cups_are_refused(tmp_path, places, joint, half):
         made(tmp_path, mjcf(f'<body name="plate">{plate}{cups}</body>'))
 
 
+def test_jaws_that_never_part_at_their_roots(tmp_path):
+    """Near each other at the hinges, and closed all along: they do close, so they are no cups."""
+    fingers = "".join(
+        f'<body name="f{k}" pos="{x} 0 0.03"><joint name="j{k}" axis="0 {sign} 0" range="0 0.5"/>'
+        '<geom type="box" size="0.004 0.01 0.03" pos="0 0 0.03"/></body>'
+        for k, (x, sign) in enumerate([(-0.006, -1), (0.006, 1)])
+    )
+    palm = '<geom type="box" size="0.04 0.03 0.03"/>'
+    result = made(tmp_path, mjcf(f'<body name="palm">{palm}{fingers}</body>'))
+    assert result.analysis.axes.closing == pytest.approx([1, 0, 0])
+    assert result.description.max_width is not None and result.description.max_width > 0.02
+    assert not result.errors
+
+
 LAST = (
     '<body name="last" pos="0 0 0.2"><joint name="wrist" axis="{}" range="{}"/>'
     '<geom type="capsule" size="0.04 0.06" pos="0 0 0.1"/>'

@@ -69,8 +69,8 @@ def check_tree(root: ElementTree.Element, path: Path) -> None:
             continue
         if mimic not in others:
             raise DescriptionError(
-                f"{where} mimics '{mimic}', which is no other moving joint of the model; "
-                f"{choices('joints', mimic, others)}. Name one, or remove the <mimic>"
+                f"{where} mimics '{mimic}', which is no other moving joint of the model; name one "
+                f"or remove the <mimic>; {choices('joints', mimic, others)}"
             )
         copied[name] = mimic
     ring = _ring(above)

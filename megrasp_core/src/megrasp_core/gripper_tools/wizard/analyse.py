@@ -103,15 +103,16 @@ def analyse(prepared: Prepared, overrides: Overrides) -> Analysis:
         motion = closing_window(mechanism, motion, fingers)
     # With both postures given, the user has said that it closes.
     arm = 0 if overrides.open and overrides.closed else prepared.carried
-    wrist = len(fingers) == 1 and arm >= WRIST_JOINTS and not fingers[0].sliding
-    if wrist:
-        refuse_wrist(motion, fingers[0], arm)
+    first, *others = fingers
+    wrist = first if not others and arm >= WRIST_JOINTS and not first.sliding else None
+    if wrist is not None:
+        refuse_wrist(motion, wrist, arm)
     try:
         opposition = _opposition(mechanism, motion, fingers, hand, overrides)
     except DescriptionError as error:
-        if not wrist:
+        if wrist is None:
             raise
-        raise no_gripper(fingers[0], arm, "closes on nothing") from error
+        raise no_gripper(wrist, arm, "closes on nothing") from error
 
     def axes_of(opposition: Opposition) -> Axes:
         return find_axes(
@@ -142,8 +143,8 @@ def analyse(prepared: Prepared, overrides: Overrides) -> Analysis:
             axes = axes_of(opposition)
             opposition = _first_group_on_minus_x(opposition, axes)
             opposition = _met(mechanism, motion, opposition, axes, overrides)
-    if wrist:
-        refuse_backwards(mechanism, motion, opposition, axes.approach, fingers[0], arm)
+    if wrist is not None:
+        refuse_backwards(mechanism, motion, opposition, axes.approach, wrist, arm)
     finder = PadFinder(mechanism, motion, opposition, axes)
     opened = finder.pad(opposition.open)
     length = None if opened is None else opened.length

@@ -25,7 +25,7 @@ BESIDE_EACH_OTHER = 0.35
 """Slides whose ways have, half-way, a cosine below this to the line between them do not close."""
 
 FAR_APART = 3.0
-"""Turning parts that keep more than so many times their way between them hold nothing."""
+"""Turning parts that stay apart by so many times their way or more hold nothing."""
 
 
 def refuse_cups(
@@ -102,15 +102,18 @@ def refuse_tilting(
     """Refuse parts that only tilt, as cups on joints do: far from each other however they turn."""
     if any(finger.sliding for finger in fingers):
         return
-    gaps = Gaps(mechanism.model)
-    wide, narrow = (
-        gaps.distance(motion.qpos(lengths), found.tips(0), found.tips(1))
-        for lengths in (found.open, found.closed)
-    )
-    if narrow > FAR_APART * abs(wide - narrow):
+    ends = found.open, found.closed
+    middles = [
+        [np.mean([f.tip_at(motion.poses(v)) for f in group], axis=0) for group in found.groups]
+        for v in ends
+    ]
+    way = float(np.linalg.norm(np.diff(middles[1], axis=0) - np.diff(middles[0], axis=0)))
+    # Between roots, which never part, as well as between tips.
+    gap = Gaps(mechanism.model).distance(motion.qpos(found.closed), found.tips(0), found.tips(1))
+    if gap > FAR_APART * way:
         raise DescriptionError(
-            f"{', '.join(finger.name for finger in fingers)} only tilt: closed they are "
-            f"{1000 * narrow:.0f} mm apart, open {1000 * wide:.0f} mm, and hold little between: "
+            f"{', '.join(finger.name for finger in fingers)} only tilt: by {1000 * way:.0f} mm, "
+            f"and stay {1000 * gap:.0f} mm apart, so they hold little between: "
             f"{NO_SUCTION}. If they do hold something, give both postures: --open joint=value ... "
             "--closed joint=value ..."
         )
