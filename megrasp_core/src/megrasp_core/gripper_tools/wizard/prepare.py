@@ -191,6 +191,6 @@ def _refuse_robot(mechanism: Mechanism, path: Path) -> None:
     listed = ", ".join(names[:MOST_NAMES]) or "none has two moving links"
     raise DescriptionError(
         f"{path}: a limb of {mechanism.branches[0].reach:.2f} m moves, so this is more than a "
-        f"gripper (or not in metres: --scale, or the scale of its meshes in the model). Name the link that the fingers hang from: --root "
-        f"LINK. Links with two moving links or more: {listed}"
+        "gripper (or not in metres: --scale, or the scale of its meshes in the model). Name the "
+        f"link that the fingers hang from: --root LINK. Links with two moving links or more: {listed}"
     )
