@@ -115,3 +115,65 @@ def test_wrong_sources_are_exit_code_2(capsys, model, args, words):
     code, _, told = run(capsys, "synthesize", *args, "--gripper", "franka_hand", "--model", model)
     assert code == 2
     assert words in told
+
+
+def test_views_that_are_not_in_one_frame_are_refused(capsys, model, tmp_path):
+    options = ("--gripper", "franka_hand", "--model", model)
+    left = view((-0.3, 0.0, 0.8), tmp_path / "left.npz")
+    rng = np.random.default_rng(1)
+    # The same table as a camera 0.8 m over it has it: z forward, itself the origin.
+    ahead = rng.uniform((-0.2, -0.15, 0.75), (0.2, 0.15, 0.8), (6000, 3))
+    for name in ("a.npz", "b.npz"):
+        write_cloud(tmp_path / name, Cloud(ahead, None, np.zeros(3)))
+    code, _, told = run(capsys, "synthesize", left, tmp_path / "a.npz", *options)
+    assert code == 2 and "seems to be a camera's" in told
+    both = (tmp_path / "a.npz", tmp_path / "b.npz", "--frame", "optical", "--top-down")
+    code, _, told = run(capsys, "synthesize", *both, *options)
+    assert code == 2 and "own camera's frame" in told and "--sensor 0 0 0" in told
+    below = view((0.3, 0.0, -0.8), tmp_path / "below.npz")
+    code, _, told = run(capsys, "synthesize", left, below, *options)
+    assert code == 2 and "lies below what it sees" in told
+
+
+@pytest.mark.parametrize(
+    ("numbers", "words"),
+    [
+        ("300 300 320 240", "outside the image of 320 x 240"),
+        ("300 160 300 120", "The order is fx fy cx cy"),
+        ("150 150 80 60", "an image of about 160 x 120: scale all four by 2"),
+    ],
+)
+def test_intrinsics_of_another_image_are_refused(capsys, model, images, numbers, words):
+    code, _, told = run(
+        capsys, "synthesize", "--depth", images / "depth.png", "--intrinsics", *numbers.split(),
+        "--top-down", "--gripper", "franka_hand", "--model", model,
+    )  # fmt: skip
+    assert code == 2 and words in told
+
+
+def test_labels_are_not_cut_short(capsys, model, images, tmp_path):
+    labels = np.full((240, 320), 2**33 + 1, np.int64)
+    np.save(tmp_path / "mask.npy", labels)
+    code, _, told = run(
+        capsys, "synthesize", "--depth", images / "depth.png", *INTRINSICS, "--top-down",
+        "--mask", tmp_path / "mask.npy", "--target", "1", "--gripper", "franka_hand",
+        "--model", model,
+    )  # fmt: skip
+    assert code == 2 and "8589934593" in told
+
+
+@pytest.mark.parametrize(
+    ("region", "words"),
+    [
+        ('pose: [0, 0, 0, 0, 0, 0, 1]\nsize: [0.4, 0.3, 0.15]\nwalls: "false"', "walls: 'false'"),
+        ("pose: [0, 0, 0, 0, 0, 0, 1]\nsize: [400, 300, 150]", "looks like millimetres"),
+    ],
+)
+def test_regions_that_are_not_meant_so(capsys, model, tmp_path, region, words):
+    (tmp_path / "bin.yaml").write_text(region)
+    seen = view((0.0, 0.0, 0.8), tmp_path / "a.npz")
+    code, _, told = run(
+        capsys, "synthesize", seen, "--region", tmp_path / "bin.yaml", "--gripper",
+        "franka_hand", "--model", model,
+    )  # fmt: skip
+    assert code == 2 and words in told

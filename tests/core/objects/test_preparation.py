@@ -70,6 +70,16 @@ def test_mass_inertia_and_centre_are_those_of_the_solid(tmp_path: Path) -> None:
     )
 
 
+def test_a_mesh_far_from_its_origin(tmp_path: Path) -> None:
+    mesh, place = box(), np.array([400_000.0, 5_000_000.0, 300.0])
+    mesh.apply_translation(place)
+    path = tmp_path / "thing.obj"
+    mesh.export(path, digits=9)
+    found = prepare_object(MeshFile("thing", path), PrepareSettings(density=800.0))
+    assert found.model.mass == pytest.approx(800.0 * np.prod(BOX), rel=1e-4)
+    np.testing.assert_allclose(found.meta["source_offset"], place, atol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("factor", "words"),
     [
@@ -249,6 +259,8 @@ def test_foreign_objects_and_the_source_are_not_written_over(scans: Path, tmp_pa
     for place in (scans, scans / "deep", tmp_path):
         with pytest.raises(ObjectError, match="lie in one another"):
             prepare_objects(scans, place)
+    with pytest.raises(ObjectError, match="which is a file"):
+        prepare_objects(scans, meta)
 
 
 def test_prepared_objects_come_to_rest_on_a_table(scans: Path, tmp_path: Path) -> None:

@@ -117,7 +117,7 @@ def bad_file(folder: Path, case: str) -> Path:
         ("names", ["cloud, rgb", "'points'", "(N, 3)"]),
         ("colours", ["colors have the shape (9, 3)", "(257, 3)"]),
         ("viewpoint", ["viewpoint has the shape (7,)", "(3,)"]),
-        ("pickle", ["damaged"]),
+        ("pickle", ["pickled Python object", "leave out what is None"]),
         ("damaged", ["damaged or no numpy file"]),
         ("damaged_ply", ["no PLY file", "expected 'ply' to 'end_header'"]),
         ("npy_as_npz", ["no .npz archive"]),

@@ -195,11 +195,55 @@ def test_viewpoint_is_the_sensors_place(tmp_path: Path, caplog) -> None:
     world = pcd(tmp_path / "world.pcd", POINTS * [1, 1, 0.1], "0.1 -0.2 0.9 0 1 0 0")
     assert read_cloud(world).viewpoint.tolist() == [0.1, -0.2, 0.9]
     assert "taken from VIEWPOINT" in caplog.text
-    own = pcd(tmp_path / "own.pcd", POINTS * [1, 1, 0.1] + [0, 0, 0.9], "0.1 -0.2 0.9 0 1 0 0")
-    assert read_cloud(own).viewpoint is None
-    assert "--frame optical --gravity" in caplog.text
+    turned = [0.1, -0.2, 0.9] + POINTS * [1, -1, -0.1] - [0, 0, 0.9]
+    for place, holes in (("own.pcd", 0), ("holes.pcd", 40)):
+        seen = POINTS * [1, 1, 0.1] + [0, 0, 0.9]
+        seen = np.concatenate([np.zeros((holes, 3)), seen])
+        own = pcd(tmp_path / place, seen, "0.1 -0.2 0.9 0 1 0 0")
+        assert read_cloud(own).viewpoint.tolist() == [0.1, -0.2, 0.9]
+        np.testing.assert_allclose(read_cloud(own).points, turned, atol=1e-6)
+        assert "--frame optical --gravity 0 0 1" in caplog.text
+        kept = read_cloud(own, optical=True)
+        np.testing.assert_allclose(kept.points, seen[holes:], atol=1e-6)
+        assert not kept.viewpoint.any()
     plain = pcd(tmp_path / "plain.pcd", POINTS, "0 0 0 1 0 0 0")
     assert read_cloud(plain).viewpoint is None
+
+
+def test_points_at_the_sensor_are_no_readings(tmp_path: Path, caplog) -> None:
+    place = np.array([0.1, -0.2, 0.9])
+    seen = np.concatenate([POINTS, np.tile(np.float32(place), (30, 1))])
+    np.savez(tmp_path / "a.npz", points=seen, viewpoint=place)
+    assert len(read_cloud(tmp_path / "a.npz")) == len(POINTS)
+    assert "30 of 210 points" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("arrays", "told"),
+    [
+        ({"points": np.zeros((3, 24, 32))}, r"np\.moveaxis\(points, 0, -1\)"),
+        ({"points": np.zeros((4, 500))}, r"points\[:3\]\.T"),
+        ({"points": POINTS, "colors": np.array(None)}, "leave out what is None"),
+        ({"points": POINTS, "colors": np.array(3.0)}, "'colors' is float64 of shape"),
+    ],
+)
+def test_arrays_that_are_no_points_get_advice_that_works(
+    tmp_path: Path, arrays: dict[str, np.ndarray], told: str
+) -> None:
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(CloudError, match=told):
+        read_cloud(tmp_path / "a.npz")
+
+
+def test_numbers_of_python_are_none_of_a_file(tmp_path: Path) -> None:
+    path = pcd(tmp_path / "a.pcd", POINTS, "0 0 0 1 0 0 0")
+    path.write_text(
+        path.read_text()
+        .replace("DATA ascii\n0.", "DATA ascii\n1_0.")
+        .replace("DATA ascii\n-0.", "DATA ascii\n-1_0.")
+    )
+    with pytest.raises(CloudError, match="damaged at point 0"):
+        read_cloud(path)
 
 
 @pytest.mark.parametrize(

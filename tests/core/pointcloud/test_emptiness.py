@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from megrasp_core.pointcloud import OrientedBox, only_support_left
+from megrasp_core.errors import GravityError
+from megrasp_core.pointcloud import OrientedBox, check_not_upside_down, only_support_left
 
 REGION = OrientedBox.around([0, 0, 0.075], [0.4, 0.3, 0.15])
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -64,3 +65,13 @@ def test_the_answer_turns_with_the_scene() -> None:
     for extra, empty in ((np.empty((0, 3)), True), (block((0.04, 0.04, 0.04)), False)):
         points = np.concatenate([bin_cloud(), extra]) @ turn[:3, :3].T + turn[:3, 3]
         assert only_support_left(points, REGION.transformed(turn), turn[:3, :3] @ DOWN) == empty
+
+
+def test_objects_that_hang_under_the_surface_are_no_empty_table() -> None:
+    table = np.concatenate([bin_cloud(walls=False), block((0.05, 0.05, 0.06), (0.08, 0.05))])
+    hanging = table * [1, 1, -1]
+    assert only_support_left(hanging, None, DOWN)
+    with pytest.raises(GravityError, match="hang under it"):
+        check_not_upside_down(hanging, DOWN)
+    ground = np.random.default_rng(2).uniform((0.25, -0.4, -0.2), (0.6, 0.4, -0.2), (900, 3))
+    check_not_upside_down(np.concatenate([bin_cloud(walls=False), ground]), DOWN)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from megrasp_core.errors import GravityError, InvalidRequestError
 from megrasp_core.pointcloud import (
@@ -176,3 +177,9 @@ def test_a_region_as_large_as_a_hall_takes_no_memory() -> None:
     hall = OrientedBox.around((0.0, 0.0, 5e3 - 1e-4), (1e4, 1e4, 1e4))
     found = unseen_structure(seen(OBJECTS, hall), assume_empty=True)
     assert len(found.points) <= 5_100_000
+
+
+def test_a_tilted_floor_that_was_seen_is_left_alone() -> None:
+    floor = np.concatenate([top(0.0, 0.0, 0.0, edge=0.5), OBJECTS])
+    turn = Rotation.from_euler("x", 0.35).as_matrix()
+    assert unseen_structure(seen(floor @ turn.T)).note == ""

@@ -90,3 +90,23 @@ def test_one_sensor_place_a_point() -> None:
     places = np.tile((0.0, 0.0, -0.8), (len(TABLE), 1))
     with pytest.raises(GravityError):
         check_view(TABLE, sensor=places, gravity=DOWN)
+
+
+def test_a_sensor_in_other_units_or_another_frame_is_named() -> None:
+    with pytest.raises(CloudError, match=r"sensor, at 0 0 800, .* Check where the sensor"):
+        check_view(TABLE, sensor=(0, 0, 800), gravity=DOWN)
+
+
+def test_marks_of_missing_readings_are_named() -> None:
+    marked = np.concatenate([TABLE, np.full((300, 3), 1e5)])
+    with pytest.raises(CloudError, match=r"7 % of its points .* without a reading"):
+        check_view(marked, sensor=(0, 0, 0.8), gravity=DOWN)
+
+
+def test_every_sensor_is_looked_at() -> None:
+    both = np.concatenate([TABLE, TABLE])
+    places = np.repeat([[0.0, 0.3, 0.8], [0.0, -0.3, 0.7]], len(TABLE), axis=0)
+    check_view(both, sensor=places, gravity=DOWN)
+    places[len(TABLE) :, 2] = -0.5
+    with pytest.raises(GravityError, match=r"sensor at 0 -0\.3 -0\.5 lies below"):
+        check_view(both, sensor=places, gravity=DOWN)

@@ -52,7 +52,7 @@ def find(
     factor = length_factor(scale)
     from megrasp_core.pointcloud import check_view, find_bin, read_cloud
 
-    points = read_cloud(cloud).scaled(factor)
+    points = read_cloud(cloud, optical=frame == "optical").scaled(factor)
     place = sensor_of(points, frame, sensor)
     check_view(points.points, sensor=place, gravity=down, optical=frame == "optical")
     try:

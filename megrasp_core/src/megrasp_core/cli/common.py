@@ -43,6 +43,9 @@ __all__ = [
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 """A switch without a --no- twin."""
 
+LARGEST_REGION = 100.0
+"""No hall is longer (m)."""
+
 Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")]
 
 
@@ -128,7 +131,15 @@ def read_region(path: Path) -> tuple[OrientedBox, bool]:
             f"region file {path} has a pose of {len(pose)} and a size of {len(size)} numbers; "
             f"{expected}."
         )
-    return OrientedBox(matrix_from_pose7(pose), size), bool(content.get("walls", True))  # type: ignore[arg-type]
+    walls = content.get("walls", True)
+    if not isinstance(walls, bool):
+        raise InvalidRequestError(f"region file {path} has walls: {walls!r}; {expected}.")
+    if max(size) > LARGEST_REGION:
+        raise InvalidRequestError(
+            f"region file {path} has the size {size}; expected metres. It looks like millimetres: "
+            "divide size and place by 1000."
+        )
+    return OrientedBox(matrix_from_pose7(pose), size), walls
 
 
 Dataclass = TypeVar("Dataclass")

@@ -200,6 +200,8 @@ def evaluation(
             executor=spread, on_scene=tell,
         )  # fmt: skip
     content = result.to_json()
+    if without:
+        content["config"]["without"] = list(without)
     for key in ("first", "first_all", "filtered", "unfiltered", "judged"):
         if content.get(key, {}).get("trials"):
             row = content[key]

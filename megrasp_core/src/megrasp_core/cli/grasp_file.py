@@ -93,7 +93,7 @@ def _grasp(entry: Any, folder: Path) -> GivenGrasp:
     file = _path(entry, "cloud", folder)
     region = _path(entry, "region", folder) if "region" in entry else None
     gravity, sensor = _numbers(entry, "gravity", 3), _numbers(entry, "sensor", 3)
-    cloud = read_cloud(file).scaled(length_factor(scale))
+    cloud = read_cloud(file, optical=frame == "optical").scaled(length_factor(scale))
     down = gravity_of(frame, _triple(gravity), False)
     box, walls = (None, True) if region is None else read_region(region)
     seen_from = sensor_of(cloud, frame, _triple(sensor))

@@ -236,7 +236,7 @@ def _read_views(paths: tuple[Path, ...], frame: str, factor: float, *, given: bo
     """The points of all files; of several, each with where it was seen from."""
     from megrasp_core.pointcloud import Cloud, read_cloud
 
-    clouds = [read_cloud(path).scaled(factor) for path in paths]
+    clouds = [read_cloud(path, optical=frame == "optical").scaled(factor) for path in paths]
     if len(clouds) > 1 and not given:
         for path, cloud in zip(paths, clouds, strict=True):
             if cloud.viewpoint is None and frame == "world":
@@ -251,6 +251,18 @@ def _read_views(paths: tuple[Path, ...], frame: str, factor: float, *, given: bo
                     "viewpoint; expected all views in one frame, each with where its sensor was. "
                     "Transform them into a common frame first."
                 )
+    own = [
+        path
+        for path, cloud in zip(paths, clouds, strict=True)
+        if cloud.viewpoint is not None and not cloud.viewpoint.any()
+    ]
+    if len(own) > 1 and not given:
+        raise InvalidRequestError(
+            f"{', '.join(map(str, own))} have their sensors at the origin, so each is in its own "
+            "camera's frame; expected all views in one frame, each with where its sensor was. "
+            "Transform them into a common frame first, or give --sensor 0 0 0 if all were taken "
+            "from one place."
+        )
     return functools.reduce(Cloud.joined, clouds)
 
 

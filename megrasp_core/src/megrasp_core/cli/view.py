@@ -143,7 +143,7 @@ def _of_file(
     box, walls = (None, True) if region is None else read_region(region)
 
     def read(path: Path) -> Cloud:
-        cloud = read_cloud(path).scaled(factor)
+        cloud = read_cloud(path, optical=frame == "optical").scaled(factor)
         place = sensor_of(cloud, frame, sensor)
         if place is None:
             x, y, z = (0.0, 0.0, -1.0) if down is None else (float(v) for v in down)

@@ -15,7 +15,7 @@ import numpy as np
 
 from megrasp_core.errors import InvalidRequestError, ObjectError
 from megrasp_core.jobs import ExecutorConfig, Progress, RunSummary, run_units
-from megrasp_core.meshes import repaired, simplified
+from megrasp_core.meshes import Mesh, repaired, simplified
 
 from .decomposition import Method, available_method, decompose
 from .folder import META, load_object, save_object
@@ -119,6 +119,12 @@ def prepare_object(file: MeshFile, settings: PrepareSettings | None = None) -> P
     """
     settings = (settings or PrepareSettings()).checked()
     mesh, colour = read_mesh(file.path, settings.scale)
+    # Volumes and inertia are sums of tetrahedra up to the origin, which may be far away.
+    corners = mesh.vertices[mesh.faces].reshape(-1, 3)
+    low, high = np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)
+    middle = (low + high) / 2.0
+    away = middle if np.abs(middle).max() > (high - low).max() else np.zeros(3)
+    mesh = Mesh(mesh.vertices - away, mesh.faces)
     repair = repaired(mesh)
     try:
         found = decompose(repair.mesh, settings.decomposition)
@@ -141,7 +147,7 @@ def prepare_object(file: MeshFile, settings: PrepareSettings | None = None) -> P
         "source": file.path.name,
         "licence": None,
         "scale": settings.scale or 1.0,
-        "source_offset": solid.centre.tolist(),
+        "source_offset": (solid.centre + away).tolist(),
         "mass_source": "given" if settings.mass is not None else "volume*density",
         "density": density,
         "volume": solid.volume,
@@ -175,7 +181,7 @@ def prepare_objects(
         on_progress: called after every mesh.
 
     Raises:
-        ObjectError: no mesh there, or the folders lie in one another.
+        ObjectError: no mesh there, the folders lie in one another, or the destination is a file.
         InvalidRequestError: a setting is outside its range.
     """
     settings = (settings or PrepareSettings()).checked()
@@ -185,6 +191,11 @@ def prepare_objects(
         raise ObjectError(
             f"meshes are read from {source} and objects written to {destination}, which lie in "
             "one another; expected two folders apart. Give another destination."
+        )
+    if destination.exists() and not destination.is_dir():
+        raise ObjectError(
+            f"objects would be written to {destination}, which is a file; expected a folder, or a "
+            "path where one can be made."
         )
     files = mesh_files(source)
     todo = [file for file in files if not _is_finished(file, destination / file.name, settings)]

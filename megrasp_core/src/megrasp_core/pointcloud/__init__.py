@@ -5,7 +5,7 @@ from .box import OrientedBox
 from .cloud import Cloud
 from .depth_image import DepthImage, DepthImageSettings
 from .depth_points import camera_matrix, depth_cloud, depth_points, read_depth_cloud
-from .emptiness import only_support_left
+from .emptiness import check_not_upside_down, only_support_left
 from .io import read_cloud, without_zeros, write_cloud
 from .knn import estimate_normals, neighbours, remove_outliers
 from .plane import Plane, PlaneSettings, support_plane
@@ -44,6 +44,7 @@ __all__ = [
     "VoxelGroups",
     "by_sensor",
     "camera_matrix",
+    "check_not_upside_down",
     "check_view",
     "choose_nodes",
     "depth_cloud",

@@ -49,11 +49,13 @@ def read_npz(path: Path) -> Cloud:
             arrays = {name: archive[name] for name in wanted if name in archive.files}
         # As below.
         except Exception as error:
+            if "allow_pickle" in str(error):
+                raise _pickled(path) from None
             raise CloudError(f"{path} is damaged ({error}); expected float arrays.") from error
     if "points" in arrays:
         points, colors = _points(path, "'points'", arrays["points"])
         if "colors" in arrays:
-            colors = _colours(arrays["colors"])
+            colors = _colours(path, arrays["colors"])
         return _cloud(path, points, colors, arrays.get("viewpoint"), arrays.get("labels"))
     if {"depth", "K"} <= set(arrays):
         points = _of_depth(path, arrays["depth"], arrays["K"])
@@ -71,13 +73,17 @@ def _load(path: Path) -> Any:
     # A damaged header goes through numpy's tokenizer, which raises what it likes.
     except Exception as error:
         if "allow_pickle" in str(error):
-            raise CloudError(
-                f"{path} holds a pickled Python object, which is not read for safety; expected "
-                "plain arrays. Save them with np.savez(path, points=points)."
-            ) from None
+            raise _pickled(path) from None
         raise CloudError(
             f"{path} is damaged or no numpy file ({error}); expected float arrays."
         ) from error
+
+
+def _pickled(path: Path) -> CloudError:
+    return CloudError(
+        f"{path} holds a pickled Python object, which is not read for safety; expected plain "
+        "arrays. Save them with np.savez(path, points=points), and leave out what is None."
+    )
 
 
 def _points(path: Path, what: str, array: NDArray) -> tuple[NDArray, NDArray | None]:
@@ -107,6 +113,10 @@ def _advice(shape: tuple[int, ...]) -> str:
         )
     if len(shape) == 2 and shape[0] == 3:
         return "Transpose it: points.T."
+    if len(shape) == 2 and 3 < shape[0] < SMALLEST_IMAGE <= shape[1]:
+        return "It lies on its side. If x, y, z come first, take rows 0 to 2: points[:3].T."
+    if len(shape) == 3 and shape[0] == 3:
+        return "The axes are in another order: np.moveaxis(points, 0, -1)."
     if len(shape) == 2 and shape[1] > 3:
         return "If x, y, z come first, take columns 0 to 2: points[:, :3]."
     if len(shape) == 3 and shape[-1] > 3:
@@ -114,7 +124,12 @@ def _advice(shape: tuple[int, ...]) -> str:
     return "One row of x, y, z in metres for each point."
 
 
-def _colours(colors: NDArray) -> NDArray[np.float64]:
+def _colours(path: Path, colors: NDArray) -> NDArray[np.float64]:
+    if colors.ndim not in (2, 3) or colors.shape[-1] < 3 or colors.dtype.kind not in KINDS:
+        raise CloudError(
+            f"{path}: 'colors' is {colors.dtype} of shape {colors.shape}; expected (N, 3): red, "
+            "green, blue of each point. Give them so, or leave them out."
+        )
     flat = colors.reshape(-1, colors.shape[-1]) if colors.ndim == 3 else colors
     return as_shares(flat[..., :3], np.dtype("u1") if flat.dtype.kind in "iu" else flat.dtype)
 

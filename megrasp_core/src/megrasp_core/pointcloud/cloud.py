@@ -63,7 +63,7 @@ class Cloud:
                     f"labels are {labels.dtype} of shape {labels.shape}; expected one whole "
                     f"number for each of the {len(points)} points, 0 where it is no object."
                 )
-            object.__setattr__(self, "labels", labels.astype(np.int32))
+            object.__setattr__(self, "labels", _whole(labels))
 
     def __len__(self) -> int:
         """Count the points, NaN rows included."""
@@ -120,6 +120,16 @@ class Cloud:
         rotation, translation = matrix[:3, :3], matrix[:3, 3]
         viewpoint = None if self.viewpoint is None else self.viewpoint @ rotation.T + translation
         return Cloud(self.points @ rotation.T + translation, self.colors, viewpoint, self.labels)
+
+
+def _whole(labels: NDArray) -> NDArray[np.int32]:
+    largest = np.iinfo(np.int32).max
+    if labels.size and (int(labels.max()) > largest or int(labels.min()) < -largest):
+        raise CloudError(
+            f"labels go from {labels.min()} to {labels.max()}; expected numbers of objects within "
+            f"+-{largest}. Number the objects from 1."
+        )
+    return labels.astype(np.int32)
 
 
 def _numbers(values: ArrayLike, what: str) -> FloatArray:

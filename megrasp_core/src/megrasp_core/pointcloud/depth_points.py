@@ -12,6 +12,10 @@ from megrasp_core.errors import CloudError
 
 from .cloud import Cloud
 
+OBLONG = 1.5
+"""No pixel is longer than wide, or wider than long, by this."""
+SMALLEST_PICTURE = 64
+"""Images of fewer columns do not come from a camera as they are."""
 FARTHEST = 1e3
 """A depth beyond it (m) is no reading."""
 MILLIMETRES = 0.001
@@ -27,7 +31,7 @@ def depth_points(depth: ArrayLike, matrix: ArrayLike) -> NDArray[np.float64]:
         matrix: (3, 3) camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] (pixels).
 
     Raises:
-        CloudError: a shape is wrong, or a focal length is not positive.
+        CloudError: a shape is wrong, or the matrix is not that of a camera with such an image.
     """
     z = np.array(depth, dtype=np.float64)
     k = np.asarray(matrix, dtype=np.float64)
@@ -41,10 +45,43 @@ def depth_points(depth: ArrayLike, matrix: ArrayLike) -> NDArray[np.float64]:
             f"the camera matrix is {k.tolist()}; expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] "
             "with focal lengths over 0, in pixels."
         )
+    _check_matrix(k, z.shape)
     z[~((z > 0) & (z < FARTHEST))] = np.nan
     v, u = np.indices(z.shape)
     x, y = (u - k[0, 2]) / k[0, 0] * z, (v - k[1, 2]) / k[1, 1] * z
     return np.stack([x, y, z], axis=-1).reshape(-1, 3)
+
+
+def _check_matrix(k: NDArray[np.float64], shape: tuple[int, ...]) -> None:
+    height, width = shape
+    fx, fy, cx, cy = k[0, 0], k[1, 1], k[0, 2], k[1, 2]
+    if k[1, 0] != 0.0 or abs(k[0, 1]) > 0.01 * fx or (k[2] != [0.0, 0.0, 1.0]).any():
+        raise CloudError(
+            f"the camera matrix is {k.tolist()}; expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]. "
+            "It may be transposed."
+        )
+    if width < SMALLEST_PICTURE:
+        return
+    if not 1 / OBLONG < fx / fy < OBLONG:
+        raise CloudError(
+            f"the focal lengths are fx {fx:g} and fy {fy:g}; expected nearly the same (square "
+            "pixels). The order is fx fy cx cy."
+        )
+    if not (0.0 <= cx <= width - 1 and 0.0 <= cy <= height - 1):
+        raise CloudError(
+            f"the principal point cx {cx:g}, cy {cy:g} lies outside the image of {width} x "
+            f"{height} pixels; expected it near the middle. Are the intrinsics of another "
+            "resolution? Scale all four by the same factor. The order is fx fy cx cy. A part cut "
+            "from an image is filled up with zeros to the whole."
+        )
+    off = np.array([2.0 * cx / width, 2.0 * cy / height])
+    if off.max() < 0.8 and abs(off[0] - off[1]) < 0.05:
+        raise CloudError(
+            f"the principal point is cx {cx:g}, cy {cy:g} in an image of {width} x {height} "
+            "pixels; expected it near the middle. The intrinsics seem to be of an image of about "
+            f"{off.mean() * width:.0f} x {off.mean() * height:.0f}: scale all four by "
+            f"{1 / off.mean():.3g}."
+        )
 
 
 def camera_matrix(fx: float, fy: float, cx: float, cy: float) -> NDArray[np.float64]:
@@ -67,7 +104,8 @@ def depth_cloud(
     Args:
         depth: (H, W) whole numbers or floats; 0, negative and not finite: no reading.
         matrix: (3, 3) camera matrix (pixels).
-        scale: metres per unit; None: 0.001 for whole numbers, 1 for floats.
+        scale: metres per unit; None: 0.001 for whole numbers, 1 for floats. The largest whole
+            number of the type is no reading either.
         colors: (H * W, 3) in 0..1.
         labels: (H, W) whole numbers: which object a pixel belongs to; 0: none.
         what: names the image in messages.
@@ -79,7 +117,11 @@ def depth_cloud(
     factor = scale if scale is not None else (1.0 if image.dtype.kind == "f" else MILLIMETRES)
     if not (np.isfinite(factor) and factor > 0):
         raise CloudError(f"the depth scale is {factor}; expected metres per unit, over 0.")
-    points = depth_points(factor * image.astype(np.float64), matrix)
+    depths = factor * image.astype(np.float64)
+    if image.dtype.kind in "iu":
+        # Some cameras write the largest number where there is no reading.
+        depths[image == np.iinfo(image.dtype).max] = np.nan
+    points = depth_points(depths, matrix)
     of = None
     if labels is not None:
         of = np.asarray(labels)
@@ -88,12 +130,13 @@ def depth_cloud(
                 f"the mask is {of.dtype} of {_size(of)} pixels; expected whole numbers, "
                 f"{_size(image)} as {what}: one number for each object, 0 elsewhere."
             )
-        of = of.astype(np.int32).ravel()
+        of = of.ravel()
     coloured = None if colors is None else np.asarray(colors, dtype=np.float64)
     seen = Cloud(points, coloured, np.zeros(3), of).finite()
     if not len(seen):
         raise CloudError(
-            f"none of the {image.size} pixels of {what} has a reading; expected depths over 0."
+            f"none of the {image.size} pixels of {what} has a reading; expected depths over 0 and "
+            f"under {FARTHEST:g} m, at {factor:g} m per unit (--depth-scale)."
         )
     return seen
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from megrasp_core.errors import GravityError
+
 from .box import OrientedBox
 from .plane import support_plane
 from .voxels import voxel_means
@@ -15,6 +17,8 @@ VOXEL = 0.005
 MIN_HEIGHT = 0.010
 """Points this high above the surface (m) are objects: above the noise of depth cameras at arm's
 length."""
+LARGEST_DEPTH = 0.3
+"""What hangs deeper (m) under a surface is the ground beside a table."""
 MIN_VOXELS = 8
 """So many voxels (25 mm2 each, seen from above) make an object; fewer are stray points."""
 WALL_STRIP = 0.012
@@ -48,3 +52,35 @@ def only_support_left(
     if plane is None:
         return False
     return int(np.count_nonzero(plane.height(voxels) > MIN_HEIGHT)) < MIN_VOXELS
+
+
+def check_not_upside_down(points: FloatArray, gravity: FloatArray | None) -> None:
+    """Refuse an empty support surface under which objects hang.
+
+    Args:
+        points: (N, 3) finite (m), of which `only_support_left` says that nothing is on them.
+        gravity: (3,) in the same frame; None where unknown.
+
+    Raises:
+        GravityError: they hang beside and below it all over.
+    """
+    if gravity is None:
+        return
+    voxels = voxel_means(points, VOXEL)
+    plane = support_plane(voxels, gravity)
+    if plane is None:
+        return
+    height = plane.height(voxels)
+    hang = voxels[(height < -MIN_HEIGHT) & (height > -LARGEST_DEPTH)]
+    if len(hang) < max(MIN_VOXELS, 0.01 * len(voxels)):
+        return
+    on = voxels[np.abs(height) <= MIN_HEIGHT]
+    low, high = np.percentile(on, (5, 95), axis=0)
+    level = np.ptp(on, axis=0) > 2 * MIN_HEIGHT
+    if (((hang > low) & (hang < high)) | ~level).all(axis=1).mean() > 0.5:
+        raise GravityError(
+            f"nothing lies on the surface that was found, and {len(hang)} voxels hang under it; "
+            "expected objects above it. Gravity points the wrong way, or z down: turn the cloud, "
+            "or give the vector that points down in its frame "
+            f"({' '.join(f'{value + 0.0:.3g}' for value in -gravity)})."
+        )

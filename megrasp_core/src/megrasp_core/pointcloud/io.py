@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from megrasp_core.errors import CloudError
 
@@ -28,13 +29,18 @@ FARTHEST, NEAREST = 1e7, 1e-6
 """No coordinates (m) of a scene are all below the one, or beyond the other."""
 
 
-def read_cloud(path: str | Path) -> Cloud:
+def read_cloud(path: str | Path, *, optical: bool = False) -> Cloud:
     """Read a cloud in metres; rows with NaN or infinity are dropped, and those that are exactly
-    0 0 0, as many drivers mark pixels without a reading.
+    0 0 0 or at the sensor, as many drivers mark pixels without a reading.
 
     .ply, .pcd: points and colours; .pcd: the sensor's place. .npz: array `points` (N, 3) or
     (H, W, 3), optional `colors` (0..1, or 0..255 as integers), `viewpoint` (3,) or one row a
     point, and `labels` (N,) of objects; or `depth` (H, W) with `K` (3, 3). .npy: the points alone.
+
+    Args:
+        path: of the file.
+        optical: the sensor's axes are wanted; otherwise points of a .pcd that are in them are
+            moved into the frame of its VIEWPOINT.
 
     Raises:
         CloudError: a missing file, another suffix, a damaged file, a wrong shape, or no point.
@@ -47,7 +53,7 @@ def read_cloud(path: str | Path) -> Cloud:
             f"of {_suffixes()}."
         )
     try:
-        cloud = READERS[suffix](path)
+        cloud = read_pcd(path, optical=optical) if suffix == ".pcd" else READERS[suffix](path)
     except OSError as error:
         raise CloudError(f"{path} cannot be read ({error}).") from error
     if not len(cloud):
@@ -67,8 +73,8 @@ def read_cloud(path: str | Path) -> Cloud:
     seen = without_zeros(finite)
     if len(seen) < len(finite):
         LOGGER.warning(
-            "%d of %d points of %s are exactly 0 0 0, which are pixels without a reading; they "
-            "are left out",
+            "%d of %d points of %s are exactly 0 0 0 or where the sensor is, which are pixels "
+            "without a reading; they are left out",
             len(finite) - len(seen),
             len(cloud),
             path,
@@ -83,11 +89,19 @@ def read_cloud(path: str | Path) -> Cloud:
 
 
 def without_zeros(cloud: Cloud) -> Cloud:
-    """The cloud without points that are exactly 0 0 0, where there are several: a surface has no
-    two points in one place, pixels without a reading do.
+    """The cloud without points that are exactly 0 0 0 or at the sensor, where there are several: a
+    surface has no two points in one place, pixels without a reading do, also once transformed.
     """
-    zero = (cloud.points == 0.0).all(axis=1)
-    return cloud.select(~zero) if np.count_nonzero(zero) > 1 else cloud
+    empty = _several((cloud.points == 0.0).all(axis=1))
+    if cloud.viewpoint is not None:
+        # Transformed in 32 bits, they are where the sensor is but for the last bit.
+        near = np.isclose(cloud.points, cloud.viewpoint, rtol=1e-6, atol=1e-6)
+        empty |= _several(np.asarray(near.all(axis=1)))
+    return cloud.select(~empty) if empty.any() else cloud
+
+
+def _several(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    return mask if np.count_nonzero(mask) > 1 else np.zeros_like(mask)
 
 
 def write_cloud(path: str | Path, cloud: Cloud, *, binary: bool = True) -> None:

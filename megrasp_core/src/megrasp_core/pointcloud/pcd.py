@@ -6,7 +6,7 @@ Read here and not by a library; see `ply.py` for why.
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,8 @@ KINDS = {"F": "f", "I": "i", "U": "u"}
 SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 UNSET = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 LONGEST_HEADER = 100_000
+IN_VIEW = 0.5
+"""Cosine of the angle to its axis within which a camera sees."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +50,15 @@ class Header:
         )
 
 
-def read_pcd(path: Path) -> Cloud:
-    """The points of a file, in metres as they stand there; VIEWPOINT is the sensor's place.
+def read_pcd(path: Path, *, optical: bool = False) -> Cloud:
+    """The points of a file in metres; VIEWPOINT is the sensor's place.
+
+    Points that lie in front of a turned sensor in its own axes only, not where VIEWPOINT puts it,
+    are moved from there into the frame of VIEWPOINT.
+
+    Args:
+        path: of the file.
+        optical: the sensor's axes are asked for: such points stay in them.
 
     Raises:
         CloudError: it is no PCD file, it is damaged, or it has no x, y, z.
@@ -72,8 +81,10 @@ def read_pcd(path: Path) -> Cloud:
     else:
         columns = _binary(path, data, start, header)
     by_name = {name: columns[f"{place} {name}"] for place, name in enumerate(header.fields)}
-    points = np.stack([by_name[name] for name in "xyz"], axis=1).astype(np.float64)
-    return Cloud(points, _colours(header, by_name), _viewpoint(path, header, points))
+    with np.errstate(invalid="ignore"):  # signalling NaN
+        points = np.stack([by_name[name] for name in "xyz"], axis=1).astype(np.float64)
+    cloud = Cloud(points, _colours(header, by_name))
+    return _seen_from(path, cloud, header.viewpoint, optical=optical)
 
 
 def write_pcd(path: Path, cloud: Cloud, *, binary: bool = True) -> None:
@@ -245,38 +256,53 @@ def _colours(header: Header, columns: dict[str, NDArray]) -> NDArray[np.float64]
         return None
     # A float holds the bits of the number 0xRRGGBB; text may spell either.
     if kind.kind == "f":
-        return unpacked(values.astype(np.float32).view(np.uint32))
-    return unpacked(values.astype(np.int64).astype(np.uint32))
+        with np.errstate(invalid="ignore", over="ignore"):
+            return unpacked(values.astype(np.float32).view(np.uint32))
+    with np.errstate(invalid="ignore"):  # text may be any number
+        return unpacked(values.astype(np.int64).astype(np.uint32))
 
 
-def _viewpoint(path: Path, header: Header, points: NDArray) -> NDArray[np.float64] | None:
-    if header.viewpoint == UNSET:
-        return None
-    place = np.array(header.viewpoint[:3])
-    w, x, y, z = header.viewpoint[3:]
+def _seen_from(path: Path, cloud: Cloud, viewpoint: tuple[float, ...], *, optical: bool) -> Cloud:
+    """The cloud with where its sensor was."""
+    if viewpoint == UNSET:
+        return cloud
+    place = np.array(viewpoint[:3])
+    w, x, y, z = viewpoint[3:]
     if np.linalg.norm([w, x, y, z]) < 1e-6:
-        return place
+        return replace(cloud, viewpoint=place)
     turn = Rotation.from_quat([x, y, z, w])
     if turn.magnitude() < 1e-6:
-        return place
-    forward = turn.apply([0.0, 0.0, 1.0])
-    good = points[np.isfinite(points).all(axis=1)]
-    own_axes = (
-        len(good) and (good[:, 2] > 0).all() and ((good - place) @ forward < 0).mean() > 0.01
-    )
-    if own_axes:
-        down = " ".join(f"{value:.4g}" for value in turn.inv().apply([0.0, 0.0, -1.0]))
+        return replace(cloud, viewpoint=place)
+    ahead = np.array([0.0, 0.0, 1.0])
+    seen = cloud.points[np.isfinite(cloud.points).all(axis=1)]
+    seen = seen[(seen != 0.0).any(axis=1)]
+    own_axes = _in_view(seen, ahead) > 0.99 and _in_view(seen - place, turn.apply(ahead)) < 0.9
+    if not own_axes:
         LOGGER.warning(
-            "%s: VIEWPOINT turns the sensor, and the points lie in front of it in its own axes, "
-            "not where VIEWPOINT puts it; give --frame optical --gravity %s",
+            "%s: the sensor's place is taken from VIEWPOINT, %s; its rotation is not used, the "
+            "points stay in their frame",
             path,
-            down,
+            place.tolist(),
         )
-        return None
+        return replace(cloud, viewpoint=place)
+    if optical:
+        return replace(cloud, viewpoint=np.zeros(3))
+    down = " ".join(f"{value:.4g}" for value in turn.inv().apply(-ahead))
     LOGGER.warning(
-        "%s: the sensor's place is taken from VIEWPOINT, %s; its rotation is not used, the points "
-        "stay in their frame",
+        "%s: the points lie in front of the sensor in its own axes, not where VIEWPOINT puts it; "
+        "they are moved into the frame of VIEWPOINT, place %s and rotation (w x y z) %s. For "
+        "grasps in the sensor's axes give --frame optical --gravity %s",
         path,
         place.tolist(),
+        np.round([w, x, y, z], 4).tolist(),
+        down,
     )
-    return place
+    empty = (cloud.points == 0.0).all(axis=1)
+    moved = np.where(empty[:, None], 0.0, turn.apply(cloud.points) + place)
+    return replace(cloud, points=moved, viewpoint=place)
+
+
+def _in_view(from_sensor: NDArray[np.float64], axis: NDArray[np.float64]) -> float:
+    """Share of points (N, 3) that a sensor at the origin sees along its axis (3,)."""
+    length = np.linalg.norm(from_sensor, axis=1)
+    return float((from_sensor @ axis > IN_VIEW * length).mean()) if len(length) else 0.0

@@ -92,7 +92,8 @@ def read_ply(path: Path) -> Cloud:
         for other in before:
             start = _after(path, data, start, other, order)
         columns = _binary(path, data, start, element, order)
-    points = np.stack([columns[name] for name in "xyz"], axis=1).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # signalling NaN
+        points = np.stack([columns[name] for name in "xyz"], axis=1).astype(np.float64)
     colors = None
     for names in COLOURS:
         if set(names) <= set(columns):

@@ -39,7 +39,7 @@ def text_columns(
     rows = [line.split() for line in lines]
     width = len(names)
     try:
-        if any(len(row) != width for row in rows):
+        if any(len(row) != width for row in rows) or any(b"_" in line for line in lines):
             raise ValueError
         table = np.array(rows, dtype=np.float64).reshape(count, width)
     except ValueError:
@@ -53,7 +53,8 @@ def text_columns(
 
 
 def _numbers(row: Sequence[bytes]) -> bool:
+    """Whether all are numbers; Python takes 1_0 for one, too."""
     try:
-        return len([float(word) for word in row]) == len(row)
+        return len([float(word) for word in row]) == len(row) and not any(b"_" in w for w in row)
     except ValueError:
         return False

@@ -18,7 +18,7 @@ from scipy.spatial import ConvexHull, QhullError
 from megrasp_core.errors import GravityError, InvalidRequestError
 
 from .depth_image import DepthImage
-from .plane import Plane
+from .plane import Plane, PlaneSettings, support_plane
 from .scene import SurfaceCloud
 from .views import View
 
@@ -45,6 +45,8 @@ NOTCH = 0.008
 objects, not for looks past them."""
 RIM = 0.004
 """So wide (m) a rim of objects gives no readings: cameras lose the pixels at edges."""
+MOST_TILTED = 0.6
+"""A chute that is seen whole may be as steep as this (rad)."""
 LOWEST = 0.5
 """Percentile of the heights that an unknown floor is taken from."""
 
@@ -159,13 +161,24 @@ def _check_floor(surface: SurfaceCloud, floor: Plane) -> None:
 
 
 def _shows_support(surface: SurfaceCloud) -> bool:
-    """Whether the plane that was found carries the rest; the level top of a flat object among
-    others does not: they stand beside it.
-    """
-    if not surface.on_plane.any() or surface.gravity is None:
+    """Whether a plane carries the rest: the level one that was found, or one that is tilted."""
+    gravity = surface.gravity
+    assert gravity is not None
+    if surface.on_plane.any():
+        return _carries(surface, surface.on_plane, gravity)
+    tilted = support_plane(surface.points, None, normals=surface.normals, sensor=surface.sensor)
+    if tilted is None or tilted.normal @ -gravity < np.cos(MOST_TILTED):
         return False
-    flat = surface.points @ _axes(surface.gravity).T
-    plane, rest = flat[surface.on_plane], flat[~surface.on_plane]
+    on_plane = np.abs(tilted.height(surface.points)) < PlaneSettings().band
+    return bool(on_plane.mean() > MOSTLY) and _carries(surface, on_plane, tilted.normal)
+
+
+def _carries(surface: SurfaceCloud, on_plane: BoolArray, normal: FloatArray) -> bool:
+    """Whether the rest lies on the plane; the level top of a flat object among others carries
+    none: they stand beside it.
+    """
+    flat = surface.points @ _axes(normal).T
+    plane, rest = flat[on_plane], flat[~on_plane]
     try:
         sides = ConvexHull(plane).equations
     except QhullError:

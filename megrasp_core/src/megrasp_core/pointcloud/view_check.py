@@ -28,6 +28,10 @@ SMALLEST = 0.003
 """No scene is as narrow as this (m)."""
 COARSEST = 0.0005
 """Steps of coordinates (m) above which the shape of objects is lost."""
+LEAST_VIEW = 0.02
+"""Sensors that saw a smaller share of the points decide nothing."""
+SENTINELS = 0.2
+"""Marks of pixels without a reading are fewer than this, or nobody looked at the cloud."""
 UPWARDS = 0.17
 """Sine of the angle by which a sensor may look up: a camera beside a low shelf."""
 
@@ -53,7 +57,8 @@ def check_view(
 
     Args:
         points: (N, 3), rows that are not finite count for nothing.
-        sensor: (3,) in the same frame, or (N, 3); None where unknown.
+        sensor: (3,) in the same frame, or (N, 3), each place looked at on its own; None where
+            unknown.
         gravity: (3,) of any length; None where unknown.
         region: where it holds points, they alone decide: what lies around may be a whole hall.
         optical: the frame is said to be a camera's: x right, y down, z forward.
@@ -63,28 +68,44 @@ def check_view(
             origin for the precision of the numbers; points behind the camera.
         GravityError: the sensor would lie below what it sees.
     """
-    sample = _deciding(points, region)
-    if not len(sample):
+    rows = _deciding(points, region)
+    if not len(rows):
         return
-    place = None
+    sample = np.asarray(points, dtype=np.float64)[rows]
+    views: list[tuple[FloatArray, FloatArray]] = []
     if sensor is not None:
-        place = np.atleast_2d(sensor_place(sensor, len(points))).mean(axis=0)
-    _check_units(sample, place)
+        place = sensor_place(sensor, len(points))
+        views = [(sample, place)] if place.ndim == 1 else _views(sample, place[rows])
+    _check_units(sample, views[0][1] if len(views) == 1 else None)
     _check_steps(sample)
     if optical:
         _check_in_front(sample)
-    if gravity is not None and place is not None:
-        _check_looks_down(sample, place, np.asarray(gravity, dtype=np.float64))
+    for seen, place in views:
+        if len(views) > 1:
+            _check_units(seen, place)
+        if gravity is not None:
+            _check_looks_down(seen, place, np.asarray(gravity, dtype=np.float64))
 
 
-def _deciding(points: FloatArray, region: OrientedBox | None) -> FloatArray:
+def _deciding(points: FloatArray, region: OrientedBox | None) -> NDArray[np.intp]:
+    """Rows of finite points."""
     points = np.asarray(points, dtype=np.float64)
+    rows = np.arange(len(points))
     if region is not None:
-        inside = region.contains(points)
-        if np.count_nonzero(inside) >= 30:
-            points = points[inside]
-    points = points[:: max(1, len(points) // SAMPLE)]
-    return points[np.isfinite(points).all(axis=1)]
+        inside = np.flatnonzero(region.contains(points))
+        rows = inside if len(inside) >= 30 else rows
+    rows = rows[:: max(1, len(rows) // SAMPLE)]
+    return rows[np.isfinite(points[rows]).all(axis=1)]
+
+
+def _views(sample: FloatArray, places: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    """The points of each place that sees a good part of them; of a moving one, all together."""
+    found, of, count = np.unique(places, axis=0, return_inverse=True, return_counts=True)
+    of = of.ravel()
+    large = [i for i in range(len(found)) if count[i] >= LEAST_VIEW * len(sample)]
+    if not large:
+        return [(sample, places.mean(axis=0))]
+    return [(sample[of == i], found[i]) for i in large]
 
 
 def _check_units(sample: FloatArray, sensor: FloatArray | None) -> None:
@@ -94,6 +115,20 @@ def _check_units(sample: FloatArray, sensor: FloatArray | None) -> None:
     sizes = f"{width:.3g} wide"
     if distance is not None:
         sizes += f" and {distance:.3g} from the sensor"
+    if width <= LARGEST and (distance or 0.0) > LARGEST and width > USUAL_WIDTH[0] / 2:
+        assert sensor is not None
+        raise CloudError(
+            f"the cloud is {width:.3g} m wide and its sensor, at {_numbers(sensor)}, is "
+            f"{distance:.3g} m away; expected both in metres and in one frame. Check where the "
+            "sensor is said to be (--sensor, the file's viewpoint). If the cloud is in other "
+            "units as well, scale both (--scale)."
+        )
+    if width > LARGEST and (stray := _stray(sample)):
+        raise CloudError(
+            f"the cloud is {sizes}, and {100 * stray:.0f} % of its points lie far away from the "
+            "others; expected a scene. They look like marks of pixels without a reading: take "
+            "them out, or give the region that the objects lie in."
+        )
     if max(width, distance or 0.0) > LARGEST:
         unlikely = {name: _unlikely(width, distance, *unit) for name, unit in UNITS.items()}
         least = min(unlikely.values())
@@ -110,6 +145,15 @@ def _check_units(sample: FloatArray, sensor: FloatArray | None) -> None:
             f"the cloud is {sizes}; expected metres, and at least {1000 * SMALLEST:.0f} mm of a "
             "scene. Scale it (--scale), or check what the camera sees."
         )
+
+
+def _stray(sample: FloatArray) -> float:
+    """Share of points far from the others, 0 where that explains nothing."""
+    middle = np.median(sample, axis=0)
+    away = np.linalg.norm(sample - middle, axis=1)
+    far = away > LARGEST
+    share = float(far.mean())
+    return share if 0.0 < share < SENTINELS and away[~far].max() < 0.1 * away[far].min() else 0.0
 
 
 def _unlikely(width: float, distance: float | None, scale: float, rareness: float) -> float:

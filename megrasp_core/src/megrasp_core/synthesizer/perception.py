@@ -9,6 +9,7 @@ from megrasp_core.pointcloud import (
     SceneNodes,
     SceneSettings,
     SurfaceCloud,
+    check_not_upside_down,
     only_support_left,
     scene_nodes,
     surface_cloud,
@@ -79,13 +80,17 @@ def perceive(
         origin = cloud.viewpoint if request.sensor is None else request.sensor
         surface = seen(replace(cloud, viewpoint=origin).joined(found))
     objects = LabelledObjects.of(surface, request.target)
+    # Under a floor that is only thought to be there, a flat object may be all that is seen.
+    empty = not structure.estimated and only_support_left(
+        surface.points, request.region, surface.gravity
+    )
+    if empty and request.region is None:
+        check_not_upside_down(surface.points, surface.gravity)
     return Perceived(
         scene_nodes(surface, scene),
         SceneJudge(surface, request, ranking, objects),
         surface,
-        # Under a floor that is only thought to be there, a flat object may be all that is seen.
-        not structure.estimated
-        and only_support_left(surface.points, request.region, surface.gravity),
+        empty,
         (structure.note,) if structure.note else (),
         objects,
     )

@@ -31,6 +31,9 @@ FOOT_BAND, FOOT_MARGIN = 0.002, 0.004
 """Of an upright object what is this low (m) is its foot; its centre of mass must be over it by
 this much (m)."""
 
+DRAWS = 300
+"""Of large objects few fit side by side, so that many draws end before anything is simulated."""
+
 Rng = np.random.Generator
 MakeWorld = Callable[[Sequence[ObjectModel]], ClutterWorld]
 
@@ -52,7 +55,7 @@ def make_scene(
 
     Raises:
         InvalidRequestError: there are too few objects.
-        SimulationError: no draw of 30 succeeds.
+        SimulationError: no draw of many succeeds.
     """
     usable = [model for model in pool if name == "pile" or stands(model)]
     if len(usable) < count:
@@ -61,7 +64,7 @@ def make_scene(
             f"{len(usable)} objects {what}were given; expected at least {count}. Give another "
             "--objects folder."
         )
-    for attempt in range(30):
+    for attempt in range(DRAWS):
         rng = np.random.default_rng([*seed, attempt])
         models = [usable[i] for i in rng.choice(len(usable), count, replace=False)]
         places = packed_poses(models, rng) if name == "packed" else [None] * count
@@ -72,8 +75,8 @@ def make_scene(
             return world
         world.close()
     raise SimulationError(
-        f"no {name} scene of {count} of the {len(usable)} objects came to rest in 30 draws of "
-        f"seed {list(seed)}. Give smaller objects."
+        f"no {name} scene of {count} of the {len(usable)} objects came to rest in {DRAWS} draws "
+        f"of seed {list(seed)}. Give smaller objects."
     )
 
 

@@ -18,6 +18,8 @@ from .settings import BinSettings
 
 FloatArray = NDArray[np.float64]
 
+LARGEST_SIZE = 20.0
+"""No bin for a robot has such edges (m)."""
 ENOUGH = 75_000
 """So many points are enough for a first look."""
 
@@ -127,6 +129,11 @@ def _size(size: ArrayLike | None) -> FloatArray | None:
         raise InvalidRequestError(
             f"size {edges_given.tolist()} is not usable; expected three inner edges x, y, z in "
             "metres, the last the depth. Give 0 for a depth that is not known, or no size."
+        )
+    if edges_given.max() > LARGEST_SIZE:
+        raise InvalidRequestError(
+            f"size {edges_given.tolist()} was given; expected metres. It looks like millimetres: "
+            "divide it by 1000."
         )
     return edges_given if edges_given.any() else None
 
