@@ -192,5 +192,6 @@ def _refuse_robot(mechanism: Mechanism, path: Path) -> None:
     raise DescriptionError(
         f"{path}: a limb of {mechanism.branches[0].reach:.2f} m moves, so this is more than a "
         "gripper (or not in metres: --scale, or the scale of its meshes in the model). Name the "
-        f"link that the fingers hang from: --root LINK. Links with two moving links or more: {listed}"
+        "link that the fingers hang from: --root LINK. Links with two moving links or more: "
+        f"{listed}"
     )
