@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -103,8 +103,7 @@ def analyse(prepared: Prepared, overrides: Overrides) -> Analysis:
         motion = closing_window(mechanism, motion, fingers)
     # With both postures given, the user has said that it closes.
     arm = 0 if overrides.open and overrides.closed else prepared.carried
-    first, *others = fingers
-    wrist = first if not others and arm >= WRIST_JOINTS and not first.sliding else None
+    wrist = _wrist(fingers) if arm >= WRIST_JOINTS else None
     if wrist is not None:
         refuse_wrist(motion, wrist, arm)
     try:
@@ -191,6 +190,11 @@ def _met(
     finder = PadFinder(mechanism, motion, opposition, axes)
     closed, contact = finder.closed(finder.pad(opposition.open))
     return replace(opposition, closed=closed, contact=contact)
+
+
+def _wrist(fingers: Sequence[Finger]) -> Finger | None:
+    """Return the only finger where it turns."""
+    return fingers[0] if len(fingers) == 1 and not fingers[0].sliding else None
 
 
 def _is_hand(fingers: tuple[Finger, ...]) -> bool:
