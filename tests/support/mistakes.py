@@ -222,6 +222,10 @@ LOAD: dict[str, Write] = {
     "unknown joint type": urdf(("prismatic", "prismatc")),
     "unknown child link": urdf(('child link="right"', 'child link="rigth"')),
     "no parent link": urdf(('<parent link="palm"/>', "")),
+    "link below two joints": urdf(('child link="right"', 'child link="left"')),
+    "links in a ring": urdf(
+        ('<parent link="palm"/><child link="left"/>', '<parent link="left"/><child link="left"/>')
+    ),
     "axis zero": urdf(('xyz="1 0 0"', 'xyz="0 0 0"')),
     "axis of two numbers": urdf(('xyz="1 0 0"', 'xyz="1 0"')),
     "axis of words": urdf(('xyz="1 0 0"', 'xyz="x y z"')),
@@ -235,6 +239,10 @@ LOAD: dict[str, Write] = {
         ("</joint>\n</robot>", '<mimic joint="slidel"/></joint></robot>')
     ),
     "mimic of itself": urdf(("</joint>\n</robot>", '<mimic joint="slide_r"/></joint></robot>')),
+    "mimics in a ring": urdf(
+        ("</joint>\n</robot>", '<mimic joint="slide_l"/></joint></robot>'),
+        ("</joint>", '<mimic joint="slide_r"/></joint>'),
+    ),
     "coupling of an unknown joint": model(
         coupled("0 1 0 0 0"), ('joint2="slide_l"', 'joint2="slide"')
     ),

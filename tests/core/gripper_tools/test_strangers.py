@@ -149,6 +149,21 @@ def test_marker_is_left_out(tmp_path):
     assert not result.errors
 
 
+def test_drawn_axes_are_left_out(tmp_path):
+    """Bars of any length at the TCP that are only seen, and touch nothing."""
+    bars = ""
+    for axis in np.eye(3):
+        size, centre = (" ".join(map(str, v)) for v in (0.002 + 0.1 * axis, 0.05 * axis))
+        bars += (
+            f'<visual><origin xyz="{centre}"/><geometry><box size="{size}"/></geometry></visual>'
+        )
+    marker = HULL[HULL.index("</link>") :].replace("hull", "axes").replace("0.07", "0.11")
+    text = slides(0.04).replace("</robot>", f'<link name="axes">{bars}{marker}</robot>')
+    result = made(tmp_path, text)
+    assert result.notes == ["link 'axes' touches nothing of the palm (a marker?): left out"]
+    assert result.analysis.axes.approach == pytest.approx([0, 0, 1])
+
+
 def test_links_are_left_out_by_option(tmp_path):
     """`without` names links whose shapes are no part; an unknown one is refused."""
     shield = HULL.replace("hull", "shield").replace("0.2 0.1 0.2", "0.1 0.1 0.01")

@@ -74,6 +74,43 @@ def test_absurd_size_is_refused(tmp_path):
         make(model, tmp_path / "out")
 
 
+@pytest.mark.parametrize(
+    ("units", "message"),
+    [
+        ({"mesh_unit": 100.0}, r"shapes are up to 10.8 units large.*scale=\"0.01 0.01 0.01\""),
+        ({"unit": 100.0}, r"links lie up to 6 units apart.*shapes are at most 0.\d+ m large"),
+    ],
+)
+def test_meshes_and_joints_in_different_units(tmp_path, units, message):
+    """No factor for all lengths helps; what is said does."""
+    model = urdf(tmp_path / "in", **units)
+    with pytest.raises(DescriptionError, match=message):
+        make(model, tmp_path / "out")
+    if "mesh_unit" in units:
+        text = model.read_text().replace('.stl"', '.stl" scale="0.01 0.01 0.01"')
+        model.write_text(text)
+        found = make(model, tmp_path / "out").description
+        assert found.max_width == pytest.approx(WIDTH, abs=1e-3)
+
+
+@pytest.mark.parametrize("root", [None, "palm"])
+def test_gripper_far_from_the_origin(tmp_path, root):
+    """Metres are those of the gripper, not of its place in a room; nor is that its frame."""
+    model = urdf(tmp_path / "in")
+    room = (
+        '<link name="room"/><link name="base"/>'
+        '<joint name="a" type="fixed"><parent link="room"/><child link="base"/>'
+        '<origin xyz="5 3 1"/></joint>'
+        '<joint name="b" type="fixed"><parent link="base"/><child link="palm"/></joint></robot>'
+    )
+    model.write_text(model.read_text().replace("</robot>", room))
+    result = make(model, tmp_path / "out", root=root)
+    assert result.description.max_width == pytest.approx(WIDTH, abs=1e-3)
+    assert np.abs(result.analysis.tcp).max() < 0.2
+    said = [note for note in result.notes if "far from its origin" in note]
+    assert bool(said) == (root is None)
+
+
 def test_missing_meshes_are_listed(tmp_path):
     """Every missing file with the link that uses it, and where to put it."""
     model = urdf(tmp_path / "in", prefix="nowhere/x_")
@@ -145,6 +182,33 @@ def test_what_is_no_gripper_is_refused(tmp_path, name, text, message):
     (tmp_path / name).write_text(text)
     with pytest.raises(DescriptionError, match=message):
         make(tmp_path / name, tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('<mimic joint="left"', '<mimic joint="lef"', r"'right' mimics 'lef'.*remove the <mimic>"),
+        ('<mimic joint="left"', '<mimic joint="right"', "mimics 'right', which is no other"),
+        (
+            '<child link="left_finger"/>',
+            '<child link="l"/>',
+            "child link 'l', which the model does",
+        ),
+        (
+            '<child link="left_finger"/>',
+            '<child link="right_finger"/>',
+            "hangs from another joint",
+        ),
+        ('<parent link="palm"/>', '<parent link="left_finger"/>', "left_finger hang from each"),
+        ("<limit", '<mimic joint="right"/><limit', "the joints left, right mimic each other"),
+    ],
+)
+def test_trees_that_are_none(tmp_path, old, new, message):
+    """Said in our words, with what was expected and what to do."""
+    model = urdf(tmp_path / "in")
+    model.write_text(model.read_text().replace(old, new, 1))
+    with pytest.raises(DescriptionError, match=message):
+        make(model, tmp_path / "out")
 
 
 def test_gripper_is_cut_out_of_an_arm(tmp_path):
@@ -220,6 +284,9 @@ def test_command_line(tmp_path, capsys):
     assert "not perpendicular" in capsys.readouterr().err
     assert main([*bad, "--open", "left"]) == 2
     assert "expected name=value" in capsys.readouterr().err
+    assert main([*bad, "--name", "My Gripper!"]) == 2
+    assert "such as --name my_gripper" in capsys.readouterr().err
+    assert not (tmp_path / "b").exists()
     assert main([*bad, "--kind", "claw"]) == 2
     assert "parallel, adaptive, hand" in capsys.readouterr().err
 

@@ -57,6 +57,32 @@ def test_arguments_and_packages(tmp_path):
     assert closed == pytest.approx(0.02, abs=1e-3)
 
 
+def test_files_beside_the_model_are_found_from_anywhere(tmp_path, monkeypatch):
+    """Includes, those of an included file too, and values lie relative to the file that names
+    them, as in ROS; not to the working folder.
+    """
+    pytest.importorskip("xacrodoc", reason=REASON)
+    model = write(tmp_path / "in")
+    (tmp_path / "in" / "inc" / "more").mkdir(parents=True)
+    (tmp_path / "in" / "inc" / "all.xacro").write_text(
+        f'{HEAD}<xacro:include filename="more/jaws.xacro"/></robot>'
+    )
+    (tmp_path / "in" / "my_parts" / "urdf" / "jaws.xacro").rename(
+        tmp_path / "in" / "inc" / "more" / "jaws.xacro"
+    )
+    (tmp_path / "in" / "values.yaml").write_text("stroke: 0.02\n")
+    model.write_text(
+        f'{HEAD}<xacro:property name="values" value="${{xacro.load_yaml(\'values.yaml\')}}"/>'
+        '<xacro:include filename="inc/all.xacro"/>'
+        "<xacro:jaws stroke=\"${values['stroke']}\"/></robot>"
+    )
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    for given in (model, Path("../in") / model.name):
+        out = tmp_path / f"out_{given.is_absolute()}"
+        assert make(given, out).description.min_width == pytest.approx(0.02, abs=1e-3)
+
+
 def test_what_cannot_be_expanded_is_said(tmp_path):
     """An unknown package and a missing argument, each with the option that helps."""
     pytest.importorskip("xacrodoc", reason=REASON)

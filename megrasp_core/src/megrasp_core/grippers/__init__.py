@@ -31,7 +31,7 @@ from .model import (
     quiet_mujoco,
 )
 from .model_file import MODEL_SUFFIXES, read_xml
-from .model_mistakes import NO_SUCTION, check_names, check_spec
+from .model_mistakes import NO_SUCTION, check_names, check_spec, check_tree
 from .posture import SETTLE_DAMPING
 from .registry import cad_folders, cad_twins, gripper_folders, list_grippers, load_gripper
 from .render import render_cloud
@@ -67,6 +67,7 @@ __all__ = [
     "cad_twins",
     "check_names",
     "check_spec",
+    "check_tree",
     "compile_spec",
     "free_name",
     "gripper_folders",

@@ -6,7 +6,7 @@ Messages begin with the path of the model, since that is the file to correct.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -34,11 +34,69 @@ def check_xml(root: ElementTree.Element, path: Path) -> None:
     """Raise DescriptionError for names given twice and, in a URDF, joints that lead nowhere."""
     check_names(root, path)
     if root.tag == "robot":
-        links = [link.get("name", "") for link in root.iterfind("link")]
-        joints = {joint.get("name", ""): joint for joint in root.iterfind("joint")}
-        moving = [name for name, joint in joints.items() if joint.get("type") != "fixed"]
-        for name, joint in joints.items():
-            _check_urdf_joint(name, joint, links, moving, path)
+        for joint in root.iterfind("joint"):
+            _check_urdf_joint(joint.get("name", ""), joint, path)
+        check_tree(root, path)
+
+
+def check_tree(root: ElementTree.Element, path: Path) -> None:
+    """Raise DescriptionError for joints of a URDF that lead nowhere or back, and for mimics of
+    what is no other moving joint, or of each other.
+    """
+    links = [link.get("name", "") for link in root.iterfind("link")]
+    joints = {joint.get("name", ""): joint for joint in root.iterfind("joint")}
+    moving = [name for name, joint in joints.items() if joint.get("type") != "fixed"]
+    above: dict[str, str] = {}
+    copied: dict[str, str] = {}
+    for name, joint in joints.items():
+        where = f"{path}: joint '{name}'"
+        ends = {end: _attribute(joint, end, "link") for end in ("parent", "child")}
+        for end, link in ends.items():
+            if link not in links:
+                raise DescriptionError(
+                    f"{where} has the {end} link '{link}', which the model does not have; "
+                    f"{choices('links', link, links)}"
+                )
+        if ends["child"] in above:
+            raise DescriptionError(
+                f"{where} has the child link '{ends['child']}', which hangs from another joint "
+                "already; expected one joint above each link: remove one of the two"
+            )
+        above[ends["child"]] = ends["parent"]
+        mimic = _attribute(joint, "mimic", "joint")
+        others = [other for other in moving if other != name]
+        if joint.find("mimic") is None:
+            continue
+        if mimic not in others:
+            raise DescriptionError(
+                f"{where} mimics '{mimic}', which is no other moving joint of the model; name one "
+                f"or remove the <mimic>; {choices('joints', mimic, others)}"
+            )
+        copied[name] = mimic
+    ring = _ring(above)
+    if ring:
+        raise DescriptionError(
+            f"{path}: the links {', '.join(ring)} hang from each other in a ring; expected a tree "
+            "with one root: remove the joint that closes it, or turn its parent and child round"
+        )
+    ring = _ring(copied)
+    if ring:
+        raise DescriptionError(
+            f"{path}: the joints {', '.join(ring)} mimic each other in a ring; expected one that "
+            "moves by itself: remove its <mimic>"
+        )
+
+
+def _ring(follows: Mapping[str, str]) -> list[str]:
+    """Return names that follow each other in a ring, none where every chain ends."""
+    for start in follows:
+        chain = [start]
+        while chain[-1] in follows and follows[chain[-1]] not in chain:
+            chain.append(follows[chain[-1]])
+        last = follows.get(chain[-1])
+        if last is not None:
+            return chain[chain.index(last) :]
+    return []
 
 
 def check_names(root: ElementTree.Element, path: Path) -> None:
@@ -53,28 +111,12 @@ def check_names(root: ElementTree.Element, path: Path) -> None:
             )
 
 
-def _check_urdf_joint(
-    name: str, joint: ElementTree.Element, links: list[str], moving: list[str], path: Path
-) -> None:
+def _check_urdf_joint(name: str, joint: ElementTree.Element, path: Path) -> None:
     where = f"{path}: joint '{name}'"
     kind = joint.get("type", "")
     if kind not in URDF_JOINTS:
         raise DescriptionError(
             f"{where} is of type '{kind}'; {choices('types', kind, URDF_JOINTS)}"
-        )
-    for end in ("parent", "child"):
-        link = _attribute(joint, end, "link")
-        if link not in links:
-            raise DescriptionError(
-                f"{where} has the {end} link '{link}', which the model does not have; "
-                f"{choices('links', link, links)}"
-            )
-    mimic = _attribute(joint, "mimic", "joint")
-    others = [other for other in moving if other != name]
-    if joint.find("mimic") is not None and mimic not in others:
-        raise DescriptionError(
-            f"{where} mimics '{mimic}', which is no other moving joint of the model; "
-            f"{choices('joints', mimic, others)}"
         )
     if kind == "fixed" or joint.find("axis") is None:
         return

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from megrasp_core.errors import DescriptionError
 
 from .axes import Axes, find_axes
+from .bare_arm import no_gripper, refuse_backwards, refuse_wrist
 from .fingers import Finger, find_fingers
 from .hands import oppose_hand
 from .jaws import divide_jaws, oppose_jaws
@@ -20,9 +21,13 @@ from .motion import DriveMotion
 from .opposition import Opposition
 from .pads import Pad
 from .prepare import Prepared
+from .several import refuse_several
 from .single import oppose_single
 from .tcp import PadFinder, find_tcp
 from .window import closing_window, looking_from
+
+WRIST_JOINTS = 2
+"""From so many joints above it on, the only finger may be the last link of an arm."""
 
 HAND_FINGERS = 4
 """From so many fingers on, one of which turns its plane, it is a hand, however each is bent."""
@@ -85,15 +90,28 @@ def analyse(prepared: Prepared, overrides: Overrides) -> Analysis:
     fingers = find_fingers(mechanism, prepared.motion)
     if not fingers:
         raise DescriptionError(
-            "no joint moves a link with a shape; expected fingers. Name the gripper's link if the "
-            "model holds more: --root LINK"
+            f"none of the {mechanism.model.njnt} joints moves a link with a shape over its range; "
+            "expected fingers. Check the limits and mimic multipliers of the model, or name the "
+            "gripper's link if the model holds more: --root LINK"
         )
     hand = _is_hand(fingers) if overrides.kind is None else overrides.kind == "hand"
     kind = overrides.kind or _kind(fingers, hand)
+    if not hand and not (overrides.open and overrides.closed):
+        refuse_several(mechanism, prepared.motion, fingers)
     motion = given_window(mechanism, prepared.motion, fingers, overrides)
     if not hand and len(fingers) > 1 and not (overrides.open and overrides.closed):
         motion = closing_window(mechanism, motion, fingers)
-    opposition = _opposition(mechanism, motion, fingers, hand, overrides)
+    # With both postures given, the user has said that it closes.
+    arm = 0 if overrides.open and overrides.closed else prepared.carried
+    wrist = _wrist(fingers) if arm >= WRIST_JOINTS else None
+    if wrist is not None:
+        refuse_wrist(motion, wrist, arm)
+    try:
+        opposition = _opposition(mechanism, motion, fingers, hand, overrides)
+    except DescriptionError as error:
+        if wrist is None:
+            raise
+        raise no_gripper(wrist, arm, "closes on nothing") from error
 
     def axes_of(opposition: Opposition) -> Axes:
         return find_axes(
@@ -124,6 +142,8 @@ def analyse(prepared: Prepared, overrides: Overrides) -> Analysis:
             axes = axes_of(opposition)
             opposition = _first_group_on_minus_x(opposition, axes)
             opposition = _met(mechanism, motion, opposition, axes, overrides)
+    if wrist is not None:
+        refuse_backwards(mechanism, motion, opposition, axes.approach, wrist, arm)
     finder = PadFinder(mechanism, motion, opposition, axes)
     opened = finder.pad(opposition.open)
     length = None if opened is None else opened.length
@@ -170,6 +190,11 @@ def _met(
     finder = PadFinder(mechanism, motion, opposition, axes)
     closed, contact = finder.closed(finder.pad(opposition.open))
     return replace(opposition, closed=closed, contact=contact)
+
+
+def _wrist(fingers: Sequence[Finger]) -> Finger | None:
+    """Return the only finger where it turns."""
+    return fingers[0] if len(fingers) == 1 and not fingers[0].sliding else None
 
 
 def _is_hand(fingers: tuple[Finger, ...]) -> bool:

@@ -16,6 +16,7 @@ from megrasp_core.grippers import Actuation, Gripper, GripperDescription, Pose, 
 
 from .analyse import Analysis
 from .drives import Drive, joint_followers
+from .fingers import joint_gains
 from .mechanism import palm_centre
 from .prepare import MODEL_FILE, Prepared
 
@@ -129,13 +130,26 @@ def _within(value: float, ends: tuple[float, float]) -> float:
 
 def _actuation(prepared: Prepared, analysis: Analysis) -> dict[str, Actuation]:
     out = {}
-    for drive in prepared.motion.drives:
+    gains = joint_gains(prepared.motion)
+    for index, drive in enumerate(prepared.motion.drives):
         if drive.actuator >= 0:
             continue
         slide = prepared.model.jnt_type[drive.joints[0]] == mujoco.mjtJoint.mjJNT_SLIDE
+        driven = [f for f in analysis.fingers if index in f.curl]
         turn = HAND_DRIVE if analysis.hand else JAW_DRIVE
+        if not slide and driven and all(f.sliding and len(f.moving) == 1 for f in driven):
+            turn = _geared(max(abs(float(gains[index, f.moving[0]])) for f in driven))
         out[drive.name] = SLIDE_DRIVE if slide else turn
     return out
+
+
+def _geared(gain: float) -> Actuation:
+    """Return the drive of a hinge that acts on slides, `gain` m per rad, as theirs would."""
+    full = SLIDE_DRIVE
+    values = (
+        full.kp * gain**2, full.force * gain, full.damping * gain**2, full.armature * gain**2
+    )  # fmt: skip
+    return Actuation(*(float(f"{value:.4g}") for value in values))
 
 
 def _fingers(model: mujoco.MjModel, analysis: Analysis) -> tuple[tuple[str, ...], ...]:

@@ -49,22 +49,46 @@ class Drive:
 
 
 def joint_range(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
-    """Return the limits of a joint (rad or m), assumed ones where the model has none."""
+    """Return the limits of a joint (rad or m): where the model has none, those that the joints
+    that follow it give, else assumed ones.
+    """
     if model.jnt_limited[joint]:
         low, high = model.jnt_range[joint]
         return float(low), float(high)
+    followed = _limits_of_followers(model, joint)
+    if followed is not None:
+        return followed
     reach = SLIDE_REACH if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE else HALF_TURN
     return -reach, reach
 
 
 def unlimited_joints(model: mujoco.MjModel) -> list[str]:
-    """Return the names of independent joints without limits."""
+    """Return the names of independent joints without limits, their own or of what follows them."""
     followers = set(joint_followers(model))
     return [
         model.joint(i).name
         for i in range(model.njnt)
-        if not model.jnt_limited[i] and i not in followers
+        if not model.jnt_limited[i]
+        and i not in followers
+        and _limits_of_followers(model, i) is None
     ]
+
+
+def _limits_of_followers(model: mujoco.MjModel, joint: int) -> tuple[float, float] | None:
+    """Return where the limited joints that follow a joint in proportion keep their limits, None
+    without such joints or place.
+    """
+    low, high = -np.inf, np.inf
+    chosen = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_active0 == 1)
+    for index in np.flatnonzero(chosen & (model.eq_obj2id == joint)):
+        follower = int(model.eq_obj1id[index])
+        offset, slope, *bent = model.eq_data[index, :5]
+        if not model.jnt_limited[follower] or slope == 0.0 or np.any(bent):
+            continue
+        change = model.jnt_range[follower] - model.qpos0[model.jnt_qposadr[follower]] - offset
+        ends = change / slope + model.qpos0[model.jnt_qposadr[joint]]
+        low, high = max(low, float(ends.min())), min(high, float(ends.max()))
+    return (low, high) if -np.inf < low < high < np.inf else None
 
 
 def find_drives(model: mujoco.MjModel) -> list[Drive]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from .drives import HALF_TURN, SLIDE_REACH
 from .mechanism import Branch, Mechanism, palm_centre
 from .motion import DriveMotion
 
 MOVED = 0.02
-"""A joint follows a drive when it moves by more than this share of the drive's own change."""
+"""A joint follows a drive that moves it by more than this share of the joint's own range."""
 
 PARALLEL = 0.95
 TIP_SHARE = 0.15
@@ -30,6 +32,15 @@ LEVER_REACH = 0.9
 
 LEVER_APART = 0.08
 """A lever stays this close to its finger, in shares of the finger's reach."""
+
+PAIRED = -0.8
+"""Parts whose ways have this cosine or less move against each other."""
+
+ASKEW = 0.2
+"""Ways with a cosine below this are across each other."""
+
+STILL = 0.1
+"""The middle of a gear goes by less than this share of the way of those it drives."""
 
 
 @dataclass(frozen=True)
@@ -79,25 +90,42 @@ def joint_gains(motion: DriveMotion) -> NDArray[np.float64]:
     return out
 
 
+def joint_shares(motion: DriveMotion, gains: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the share of its own range by which each joint moves over the range of each drive
+    (drives, njnt): a slide on a spindle goes by a few millimetres per radian, and all its way.
+    """
+    slide = motion.model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
+    assumed = 2.0 * np.where(slide, SLIDE_REACH, HALF_TURN)
+    own = np.minimum(motion.ranges[:, 1] - motion.ranges[:, 0], assumed)
+    spans = motion.high - motion.low
+    return np.abs(gains) * spans[:, None] / np.maximum(own, 1e-9)
+
+
 def find_fingers(mechanism: Mechanism, motion: DriveMotion) -> tuple[Finger, ...]:
-    """Return the fingers, longest first.
+    """Return the fingers, longest first; none where no drive moves a branch.
 
     Branches that move beside a longer one on the same drives are levers of its linkage and go to
-    the finger that they are nearest to.
+    the finger that they are nearest to. Gears and pistons that drive the fingers are none.
     """
     gains = joint_gains(motion)
-    driven = [b for b in mechanism.branches if _drives_of(b, gains)]
+    shares = joint_shares(motion, gains)
+    driven = [b for b in mechanism.branches if _drives_of(b, shares)]
     ends = [motion.poses(lengths) for lengths in (motion.rest(), motion.low, motion.high)]
-    fingers = [b for b in driven if not _is_lever(mechanism, b, driven, gains, ends)]
+    gears = _gears(mechanism, driven, shares, ends[1:])
+    driven = [b for b in driven if b not in gears]
+    fingers = [b for b in driven if not _is_lever(mechanism, b, driven, shares, ends)]
+    if not fingers:
+        return ()
     poses = ends[0]
     extra: dict[int, list[int]] = {branch.root: [] for branch in fingers}
     for branch in mechanism.branches:
-        if branch in fingers:
+        if branch in fingers or branch in gears:
             continue
         near = _nearest(mechanism, poses, branch, fingers)
         extra[near.root] += list(branch.bodies)
     return tuple(
-        _finger(mechanism, motion, gains, branch, extra[branch.root], poses) for branch in fingers
+        _finger(mechanism, motion, (gains, shares), branch, extra[branch.root], poses)
+        for branch in fingers
     )
 
 
@@ -155,22 +183,55 @@ def leads_aside(
     return float(np.linalg.norm(aside) / max(np.linalg.norm(ahead), 1e-9))
 
 
-def _drives_of(branch: Branch, gains: NDArray[np.float64]) -> set[int]:
-    return set(np.flatnonzero(np.abs(gains[:, list(branch.chain)]).max(axis=1) > MOVED).tolist())
+def _drives_of(branch: Branch, shares: NDArray[np.float64]) -> set[int]:
+    return set(np.flatnonzero(shares[:, list(branch.chain)].max(axis=1) > MOVED).tolist())
+
+
+def _gears(
+    mechanism: Mechanism,
+    driven: Sequence[Branch],
+    shares: NDArray[np.float64],
+    ends: Sequence[NDArray[np.float64]],
+) -> list[Branch]:
+    """Return the branches that only drive two others on the same drives, which move against each
+    other: those that turn about themselves, as gears, or move across, as pistons.
+    """
+    before, after = ends
+    way = {
+        b.root: (mechanism.surface(after, b.bodies) - mechanism.surface(before, b.bodies)).mean(
+            axis=0
+        )
+        for b in driven
+    }
+    out = []
+    for branch in driven:
+        own = _drives_of(branch, shares)
+        ways = [way[b.root] for b in driven if b is not branch and _drives_of(b, shares) == own]
+        pairs = [(a, b) for a, b in itertools.combinations(ways, 2) if _cosine(a, b) <= PAIRED]
+        if not pairs:
+            continue
+        still = np.linalg.norm(way[branch.root]) < STILL * max(np.linalg.norm(w) for w in ways)
+        if still or all(abs(_cosine(way[branch.root], w)) < ASKEW for w in ways):
+            out.append(branch)
+    return out
+
+
+def _cosine(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    return float(a @ b) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12)
 
 
 def _is_lever(
     mechanism: Mechanism,
     branch: Branch,
     others: Sequence[Branch],
-    gains: NDArray[np.float64],
+    shares: NDArray[np.float64],
     ends: Sequence[NDArray[np.float64]],
 ) -> bool:
     """Whether a branch moves beside a longer one on the same drives, wherever these stand."""
-    own = _drives_of(branch, gains)
+    own = _drives_of(branch, shares)
     return any(
         branch.reach < LEVER_REACH * other.reach
-        and own <= _drives_of(other, gains)
+        and own <= _drives_of(other, shares)
         and max(_apart(mechanism, poses, branch, other) for poses in ends)
         < LEVER_APART * other.reach
         for other in others
@@ -203,14 +264,16 @@ def _nearest(
 def _finger(
     mechanism: Mechanism,
     motion: DriveMotion,
-    gains: NDArray[np.float64],
+    follows: tuple[NDArray[np.float64], NDArray[np.float64]],
     branch: Branch,
     extra: list[int],
     poses: NDArray[np.float64],
 ) -> Finger:
+    """Return a finger; `follows`: gains and shares of the joints (drives, njnt)."""
     model = mechanism.model
+    gains, shares = follows
     anchors, axes = joint_axes(motion, motion.rest())
-    strength = np.abs(gains[:, list(branch.chain)])
+    strength = shares[:, list(branch.chain)]
     moving = [j for j, s in zip(branch.chain, strength.max(axis=0), strict=True) if s > MOVED]
     last = moving[-1]
     alike = [
@@ -218,9 +281,9 @@ def _finger(
         for j in moving
         if model.jnt_type[j] == model.jnt_type[last] and abs(axes[j] @ axes[last]) > PARALLEL
     ]
-    drives = _drives_of(branch, gains)
-    curl = [d for d in drives if np.abs(gains[d, alike]).max() > MOVED]
-    curl.sort(key=lambda d: min(j for j in alike if abs(gains[d, j]) > MOVED))
+    drives = _drives_of(branch, shares)
+    curl = [d for d in drives if shares[d, alike].max() > MOVED]
+    curl.sort(key=lambda d: min(j for j in alike if shares[d, j] > MOVED))
     # All parallel joints flex in one sense of rotation: the one in which they have more room.
     room = sum(float(axes[j] @ axes[last]) * float(motion.ranges[j].sum()) for j in alike)
     sense = 1.0 if room >= 0.0 else -1.0

@@ -19,7 +19,7 @@ APART = 0.003
 """A link this far (m) from the rest of the palm is fastened to nothing."""
 
 MARKER = 0.08
-"""Longest edge (m) of a marker."""
+"""Longest edge (m) of a marker that may touch things."""
 
 AROUND = 0.02
 """Markers lie so near (m) to the space of the fingers."""
@@ -116,8 +116,13 @@ def _markers(
     for body in leaves:
         own = mechanism.surface(postures[0], [body])
         size = float(np.ptp(own, axis=0).max())
-        centre = (own.min(axis=0) + own.max(axis=0)) / 2.0
-        if size > MARKER or not ((centre > low) & (centre < high)).all():
+        if _only_seen(spec.body(model.body(body).name)):
+            # Axes drawn at the TCP stand out of the fingers as far as they like.
+            near = ((own.max(axis=0) > low) & (own.min(axis=0) < high)).all()
+        else:
+            centre = (own.min(axis=0) + own.max(axis=0)) / 2.0
+            near = size <= MARKER and ((centre > low) & (centre < high)).all()
+        if not near:
             continue
         rest = mechanism.surface(postures[0], [b for b in mechanism.palm if b != body])
         if not len(rest) or float(np.min(KDTree(rest).query(own)[0])) < APART:
@@ -128,3 +133,7 @@ def _markers(
         notes.add(f"link '{name}' touches nothing of the palm (a marker?): left out")
         found = True
     return found
+
+
+def _only_seen(body: mujoco.MjsBody) -> bool:
+    return not any(geom.contype or geom.conaffinity for geom in body.geoms)

@@ -10,18 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from megrasp_core.errors import DescriptionError
-from megrasp_core.grippers import NO_SUCTION
 
-from .fingers import BESIDE, Finger, crossed_over, joint_axes, leads_aside
+from .fingers import Finger, crossed_over, joint_axes
 from .mechanism import Mechanism
 from .motion import DriveMotion
 from .opposition import Opposition, divisions, facing
+from .suction import refuse_cups, refuse_tilting
 
 MAX_DRIVES = 6
-ALIKE_MOTION = 0.1
-"""Fingers whose ways differ by less than this share of them do not close."""
-
-LEAST_MOTION = 1e-4
 ALIKE = 0.02
 """Divisions whose scores (cosines) differ by less oppose alike."""
 
@@ -55,7 +51,9 @@ def oppose_jaws(
         if best is None or wide > best[0]:
             best = wide, start, end
     assert best is not None  # product() yields at least one corner
-    return divide_jaws(mechanism, motion, fingers, best[1], best[2])
+    found = divide_jaws(mechanism, motion, fingers, best[1], best[2])
+    refuse_tilting(mechanism, motion, fingers, found)
+    return found
 
 
 def divide_jaws(
@@ -68,8 +66,7 @@ def divide_jaws(
     """Divide the fingers into groups by how they move from `start` to `end` (n,)."""
     way = [motion.poses(lengths) for lengths in (start, end)]
     tips = np.array([[finger.tip_at(poses) for finger in fingers] for poses in way])
-    _refuse_alike(fingers, tips)
-    _refuse_cups(mechanism, fingers, way[0], tips)
+    refuse_cups(mechanism, motion, fingers, start, end)
     ways = [_way(division, fingers, tips) for division in divisions(fingers)]
     scores = sorted(way.score for way in ways)
     # Fingers around a centre oppose alike in several ways: then along an axis of the model, the
@@ -79,37 +76,6 @@ def divide_jaws(
     margin = 1.0 - (max(scores[-2], 0.0) / max(scores[-1], 1e-9) if len(scores) > 1 else 0.0)
     middle = tips[0].mean(axis=0)
     return Opposition(best.groups, start, end, best.axis, middle, best.facing, margin, False)
-
-
-def _refuse_alike(fingers: Sequence[Finger], tips: NDArray[np.float64]) -> None:
-    """Refuse parts that all move the same way, as the cups of a suction tool do."""
-    moved = tips[1] - tips[0]
-    apart = float(np.linalg.norm(moved - moved.mean(axis=0), axis=1).max())
-    if apart < ALIKE_MOTION * float(np.linalg.norm(moved, axis=1).max()):
-        raise DescriptionError(
-            f"{', '.join(finger.name for finger in fingers)} all move the same way and close on "
-            f"nothing: {NO_SUCTION}"
-        )
-
-
-def _refuse_cups(
-    mechanism: Mechanism,
-    fingers: Sequence[Finger],
-    poses: NDArray[np.float64],
-    tips: NDArray[np.float64],
-) -> None:
-    """Refuse parts that all slide along their own length, as cups on springs do."""
-    moved = tips[1] - tips[0]
-    for finger, way in zip(fingers, moved, strict=True):
-        size = float(np.linalg.norm(way))
-        if not finger.sliding or size < LEAST_MOTION:
-            return
-        if leads_aside(mechanism, poses, finger, way / size) >= BESIDE:
-            return
-    raise DescriptionError(
-        f"{', '.join(finger.name for finger in fingers)} move in and out of the base and close on "
-        f"nothing: {NO_SUCTION}"
-    )
 
 
 def _openness(

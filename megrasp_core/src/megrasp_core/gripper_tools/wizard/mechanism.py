@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -65,6 +66,19 @@ def rigid_parts(model: mujoco.MjModel) -> dict[int, list[int]]:
     for body in range(model.nbody):
         parts.setdefault(int(model.body_weldid[body]), []).append(body)
     return parts
+
+
+def shared_link(model: mujoco.MjModel, roots: Sequence[int], part: Sequence[int]) -> str:
+    """Return the lowest body of a rigid part that all of the bodies `roots` hang from."""
+    lines = []
+    for root in roots:
+        line, body = [], int(model.body_parentid[root])
+        while body in part and body not in line:
+            line.append(body)
+            body = int(model.body_parentid[body])
+        lines.append(line)
+    shared = [body for body in lines[0] if all(body in line for line in lines)]
+    return model.body(shared[0] if shared else part[0]).name
 
 
 def find_mechanism(model: mujoco.MjModel, poses: list[NDArray[np.float64]]) -> Mechanism:

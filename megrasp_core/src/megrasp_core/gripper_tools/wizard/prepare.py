@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
@@ -23,11 +23,11 @@ from .cleaning import clean, cut_out, limit_slides, steady_urdf
 from .drives import find_drives
 from .findings import Notes
 from .foreign import leave_out_foreign
-from .mechanism import Mechanism, find_mechanism, rigid_parts
+from .mechanism import Mechanism, find_mechanism, rigid_parts, shared_link
 from .meshes import FOLDER
 from .motion import DriveMotion
 from .source import SourceOptions, is_urdf, read_source
-from .units import check_units, scale_meshes, scale_model
+from .units import check_units, far_root, scale_meshes, scale_model
 
 MODEL_FILE = "model.xml"
 ARM_JOINTS = 3
@@ -42,13 +42,14 @@ MOST_NAMES = 40
 @dataclass(frozen=True)
 class Prepared:
     """A clean model: `folder` holds model.xml and meshes/; `model` is it compiled as the loader
-    compiles it; `mechanism` and `motion` belong to it.
+    compiles it; `mechanism` and `motion` belong to it. `carried`: joints that lead to the palm.
     """
 
     folder: Path
     model: mujoco.MjModel
     mechanism: Mechanism
     motion: DriveMotion
+    carried: int = 0
 
 
 def prepare(
@@ -79,6 +80,14 @@ def prepare(
         scale_model(spec, options.scale)
         notes.add(f"all lengths scaled by {options.scale:g}")
     model = _compile(spec, path)
+    if options.root is not None:
+        # Units are those of what is left.
+        spec = cut_out(spec, options.root)
+        model = _compile(spec, path)
+    elif (far := far_root(model)) is not None:
+        notes.add(f"the model stands far from its origin: the frame of link '{far}' is taken")
+        spec = cut_out(spec, far)
+        model = _compile(spec, path)
     if options.scale is None and scale_meshes(spec, model, notes):
         model = _compile(spec, path)
     factor = check_units(model, path)
@@ -91,13 +100,12 @@ def prepare(
         scale_model(spec, factor)
         notes.add(f"the model's lengths look like millimetres: all scaled by {factor:g}")
     limit_slides(spec, notes)
-    if options.root is not None:
-        spec = cut_out(spec, options.root)
     prepared = _written(spec, folder, path)
-    if len(prepared.mechanism.above) >= ARM_JOINTS and options.root is None:
+    carried = len(prepared.mechanism.above)
+    if carried >= ARM_JOINTS and options.root is None:
         link = _gripper_root(prepared.mechanism)
         notes.add(
-            f"{len(prepared.mechanism.above)} joints lead to the palm, so this is an arm with a "
+            f"{carried} joints lead to the palm, so this is an arm with a "
             f"gripper: cut at link '{link}' (another: --root LINK)"
         )
         spec = cut_out(spec, link)
@@ -105,7 +113,7 @@ def prepare(
     _refuse_robot(prepared.mechanism, path)
     if leave_out_foreign(spec, prepared.mechanism, prepared.motion, notes):
         prepared = _written(spec, folder, path)
-    return prepared
+    return replace(prepared, carried=carried)
 
 
 def _compile(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
@@ -167,20 +175,7 @@ def provisional_description(folder: Path) -> GripperDescription:
 def _gripper_root(mechanism: Mechanism) -> str:
     """Return the lowest link of the palm that all fingers hang from."""
     roots = [branch.root for branch in mechanism.branches]
-    return _shared_link(mechanism.model, roots, mechanism.palm)
-
-
-def _shared_link(model: mujoco.MjModel, roots: Sequence[int], part: Sequence[int]) -> str:
-    """Return the lowest body of a rigid part that all of the bodies `roots` hang from."""
-    lines = []
-    for root in roots:
-        line, body = [], int(model.body_parentid[root])
-        while body in part and body not in line:
-            line.append(body)
-            body = int(model.body_parentid[body])
-        lines.append(line)
-    shared = [body for body in lines[0] if all(body in line for line in lines)]
-    return model.body(shared[0] if shared else part[0]).name
+    return shared_link(mechanism.model, roots, mechanism.palm)
 
 
 def _refuse_robot(mechanism: Mechanism, path: Path) -> None:
@@ -192,10 +187,11 @@ def _refuse_robot(mechanism: Mechanism, path: Path) -> None:
     for part, bodies in parts.items():
         own = [p for p in parts if p and int(model.body_weldid[model.body_parentid[p]]) == part]
         if part and len(own) >= 2:
-            names.append(_shared_link(model, own, bodies))
+            names.append(shared_link(model, own, bodies))
     listed = ", ".join(names[:MOST_NAMES]) or "none has two moving links"
     raise DescriptionError(
         f"{path}: a limb of {mechanism.branches[0].reach:.2f} m moves, so this is more than a "
-        f"gripper (or not in metres: --scale). Name the link that the fingers hang from: --root "
-        f"LINK. Links with two moving links or more: {listed}"
+        "gripper (or not in metres: --scale, or the scale of its meshes in the model). Name the "
+        "link that the fingers hang from: --root LINK. Links with two moving links or more: "
+        f"{listed}"
     )

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import mujoco
 
 from megrasp_core.errors import DescriptionError
-from megrasp_core.grippers import check_names, read_xml
+from megrasp_core.grippers import check_names, check_tree, read_xml
 
 from .findings import Notes
 from .meshes import MeshFinder, MeshStore, missing_message
@@ -114,6 +114,7 @@ def _read_urdf(
 ) -> mujoco.MjSpec:
     check_names(root, path)
     take_first(root, notes)
+    check_tree(root, path)
     drop_empty_limits(root, notes)
     names = [link.get("name", "") for link in root.findall("link")]
     refuse_unknown(options.without, names, "--without", path)

@@ -17,6 +17,9 @@ LARGE = 3.0
 DOUBTFUL = 1.0
 """Where one mesh is in millimetres, others this long (m) are too."""
 
+PLAUSIBLE = 0.5
+"""Shapes or distances of a gripper that is in metres are shorter (m) than this."""
+
 SMALL = 0.004
 MILLIMETRE = 0.001
 LEAST_EXPECTED, MOST_EXPECTED = 0.03, 1.5
@@ -49,9 +52,11 @@ def check_units(model: mujoco.MjModel, path: Path) -> float | None:
     Raises:
         DescriptionError: too large or too small, and no common unit explains it.
     """
-    size = max([_distances(model), *mesh_extents(model).values(), _geom_size(model)])
+    apart, shapes = _distances(model), max([*mesh_extents(model).values(), _geom_size(model)])
+    size = max(apart, shapes)
     if SMALL <= size < LARGE:
         return None
+    _refuse_mixed(apart, shapes, path)
     if LEAST_EXPECTED <= size * MILLIMETRE <= MOST_EXPECTED:
         return MILLIMETRE
     raise DescriptionError(
@@ -59,6 +64,28 @@ def check_units(model: mujoco.MjModel, path: Path) -> float | None:
         f"{LEAST_EXPECTED:g} to {MOST_EXPECTED:g} m in metres. Say what one of its units is in "
         "metres: --scale 0.001 for millimetres, 0.01 for centimetres, 0.0254 for inches"
     )
+
+
+def _refuse_mixed(apart: float, shapes: float, path: Path) -> None:
+    """Raise DescriptionError where shapes are in one unit and what places the links in another:
+    scaling all lengths would then shrink the part that is right.
+    """
+    units = "0.001 for millimetres, 0.01 for centimetres, 0.0254 for inches"
+    if shapes >= LARGE and apart < PLAUSIBLE:
+        raise DescriptionError(
+            f"{path}: shapes are up to {shapes:.3g} units large while links lie at most "
+            f"{apart:.3g} m apart; expected both in metres. Scale the meshes alone, in the model: "
+            '<mesh filename="..." scale="0.01 0.01 0.01"/> in a URDF, scale="0.01 0.01 0.01" of '
+            f"the <mesh> in an MJCF ({units}); --scale would shrink the joints as well"
+        )
+    if apart >= LARGE and shapes < PLAUSIBLE:
+        raise DescriptionError(
+            f"{path}: links lie up to {apart:.3g} units apart while shapes are at most "
+            f"{shapes:.3g} m large; expected both in metres. Is it a scene, name the gripper's "
+            "link: --root LINK. Else the origins of the joints (MJCF: pos) and the limits of "
+            f"slides are in another unit: multiply them in the model ({units}); --scale would "
+            "shrink the shapes as well"
+        )
 
 
 def scale_model(spec: mujoco.MjSpec, factor: float) -> None:
@@ -99,8 +126,37 @@ def mesh_extents(model: mujoco.MjModel) -> dict[str, float]:
     return out
 
 
+def far_root(model: mujoco.MjModel) -> str | None:
+    """Return the link that holds the whole model far from its origin, None where it is near: a
+    gripper that is placed in a room belongs to no frame there.
+    """
+    if max([*mesh_extents(model).values(), _geom_size(model)]) >= LARGE:
+        return None
+    lead = _leading(model)
+    far = [body for body in lead if np.abs(model.body_pos[body]).max() >= DOUBTFUL]
+    return model.body(far[-1]).name if far else None
+
+
+def _leading(model: mujoco.MjModel) -> list[int]:
+    """Return the bodies, from the root on, that lead to all shapes and joints and have a place but
+    nothing before them.
+    """
+    out, body = [], 0
+    while not model.body_geomnum[body] and (body == 0 or not model.body_jntnum[body]):
+        below = [b for b in range(1, model.nbody) if int(model.body_parentid[b]) == body]
+        if len(below) != 1:
+            break
+        body = below[0]
+        if model.body_jntnum[body]:
+            break
+        out.append(body)
+    return out
+
+
 def _distances(model: mujoco.MjModel) -> float:
-    return float(np.abs(model.body_pos).max(initial=0.0))
+    """Return the longest offset (m) of a body from its parent, beyond the place of all."""
+    inner = np.setdiff1d(np.arange(model.nbody), _leading(model))
+    return float(np.abs(model.body_pos[inner]).max(initial=0.0))
 
 
 def _geom_size(model: mujoco.MjModel) -> float:

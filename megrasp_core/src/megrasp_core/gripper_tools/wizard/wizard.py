@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
@@ -104,12 +105,17 @@ def new_gripper(
 
     Raises:
         DescriptionError: the model is wrong (the message says what to do).
-        InvalidRequestError: the folder holds a description already.
+        InvalidRequestError: the folder holds a description already, or the name is no gripper's.
     """
     out = request.out
     if (out / FILE_NAME).exists():
         raise InvalidRequestError(
             f"{out} holds a {FILE_NAME} already; expected a new folder. Remove it or name another"
+        )
+    if request.name is not None and not re.fullmatch(r"[a-z0-9_]+", request.name):
+        raise InvalidRequestError(
+            f"the name '{request.name}' is no gripper's; expected a-z, 0-9 and _, such as "
+            f"--name {valid_name(request.name)} (any words: --display-name)"
         )
     with quiet_mujoco():
         return _make(request, revise, accept_scale or (lambda _: False), picture)
@@ -136,6 +142,8 @@ def _make(
             overrides = changed
         notes.lines += collisions_on_the_way(prepared, analysis)
         save_description(description, prepared.folder)
+        # What the loader refuses is not left behind.
+        load_description(prepared.folder)
         out.mkdir(parents=True, exist_ok=True)
         shutil.copytree(prepared.folder, out, dirs_exist_ok=True)
     out.chmod(0o755)

@@ -80,18 +80,19 @@ def _expander() -> Expander | None:
 
 
 def _by_xacrodoc(path: Path, packages: Mapping[str, Path], arguments: dict[str, str]) -> str:
-    xacrodoc = importlib.import_module("xacrodoc")
+    """Expand with the finder of packages that xacrodoc puts into xacro; its own reader of files
+    forgets where a file lies, so that includes beside it are not found.
+    """
+    importlib.import_module("xacrodoc")
     places = importlib.import_module("xacrodoc.packages")
     # It keeps what it found for the life of the process, files of another gripper too.
     places.reset()
+    places.walk_up_from(str(path.resolve()))
     places.update_package_cache({name: str(folder) for name, folder in packages.items()})
     try:
-        document = xacrodoc.XacroDoc.from_file(
-            str(path), subargs=arguments, resolve_packages=False
-        )
+        return _by_xacro(path, packages, arguments)
     finally:
         places.reset()
-    return str(document.to_urdf_string())
 
 
 def _by_xacro(path: Path, packages: Mapping[str, Path], arguments: dict[str, str]) -> str:
