@@ -53,6 +53,8 @@ if TYPE_CHECKING:
 
 LOADING = 0.3
 """Time between two questions to a server that is not active yet (s)."""
+TELLS = 2.0
+"""A server whose services are there tells its state within this time (s)."""
 IDLE = 4
 """One that has been unconfigured for so many of them may have failed to be configured."""
 
@@ -173,7 +175,6 @@ class GraspClient:
         services = [
             (SynthesizeGrasps, "synthesize_grasps", "grasp_server"),
             (SetGripper, "set_gripper", "grasp_server"),
-            (GetState, f"{self._server}/get_state", "grasp_server"),
         ]
         if cell:
             services.append((ChangeTool, "change_tool", "the cell"))
@@ -187,12 +188,16 @@ class GraspClient:
             what = "action execute_grasp (the cell)"
             left = end - time.monotonic()
             caller.appear(what, execute.wait_for_server, timeout, left=left)
-        # Every request that it refuses is a warning in its log, so the state is asked for.
+        # Every request that it refuses is a warning in its log, so the state is asked for, where a
+        # node of that name tells it.
+        states = caller.service(GetState, f"{self._server}/get_state")
+        tells = states.wait_for_service(timeout_sec=max(0.01, min(TELLS, end - time.monotonic())))
         idle = 0
-        while (state := self.state()) != "active":
+        while (state := self.state() if tells else "unknown") != "active":
+            over = time.monotonic() >= end
             idle = idle + 1 if state == "unconfigured" else 0
-            if idle == IDLE or time.monotonic() >= end:
-                self._raise_inactive(over=time.monotonic() >= end)
+            if (over or idle == IDLE or not tells) and self._serves(over=over, tells=tells):
+                return
             time.sleep(min(LOADING, max(0.0, end - time.monotonic())))
 
     def synthesize(self, num_grasps: int = 20, **fields: Any) -> SynthesizeGrasps.Response:
@@ -360,18 +365,22 @@ class GraspClient:
             raise ValueError("record was called; expected a client made with record=FOLDER.")
         return self._recorder.keep(grasps, grasp, success=success, reason=reason, extra=extra)
 
-    def _raise_inactive(self, *, over: bool) -> None:
-        """Raise what a server that is not active answers: that configuring it failed, or, when
-        the time is `over`, that it is not active.
+    def _serves(self, *, over: bool, tells: bool) -> bool:
+        """Whether the server answers otherwise than that it is not active. Raised is that
+        configuring it failed, where it `tells` its state, and every answer when time is `over`.
         """
         try:
             # Nothing is changed by a dry run, whatever the name.
             self.set_gripper("", dry_run=True)
         except GraspServerError as error:
-            failed = over or error.code != ErrorCode.NOT_ACTIVE
-            # An active one refuses the empty name.
-            if failed and self.state() != "active":
+            if error.code == ErrorCode.NONE or (over and error.code == ErrorCode.NOT_ACTIVE):
                 raise
+            if error.code == ErrorCode.NOT_ACTIVE:
+                return False
+            # An active one refuses the empty name.
+            if tells and self.state() != "active":
+                raise
+        return True
 
     def _filled(self, fields: dict[str, Any]) -> dict[str, Any]:
         timeout = self._caller.timeout
