@@ -17,6 +17,7 @@ from collections.abc import Callable
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.context import Context
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.subscription import Subscription
@@ -35,13 +36,17 @@ _MARK = "megrasp_guarded"
 class Guard:
     """Wraps callbacks; a wrapped one returns or raises nothing but what it should."""
 
-    def __init__(self, log: RcutilsLogger) -> None:
-        self._log = log
+    def __init__(self, log: RcutilsLogger, context: Context) -> None:
+        self._log, self._context = log, context
         self._told: dict[str, tuple[str, float]] = {}
 
     def tell(self, what: str, error: BaseException) -> str:
         """Log a failure, unless it was told a moment ago; return its text."""
         text = describe(error)[1]
+        if not self._context.ok():
+            # What a callback in mid-work asks of ROS after SIGINT fails because ROS is gone.
+            self._log.debug(f"{what}, while ending: {text}")
+            return text
         last, at = self._told.get(what, ("", 0.0))
         now = time.monotonic()
         if text != last or now - at > REPEAT:
@@ -117,7 +122,7 @@ class Guarded(Node):
     def guard(self) -> Guard:
         """The guard, for callbacks that are made elsewhere, such as those of an action server."""
         if self._guard is None:
-            self._guard = Guard(self.get_logger())
+            self._guard = Guard(self.get_logger(), self.context)
         return self._guard
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Callback, **options: Any):

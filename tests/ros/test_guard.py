@@ -240,11 +240,19 @@ def test_a_fault_in_cancelling_leaves_the_goal_alone(pair: Pair) -> None:
         def error(self, text: str) -> None:
             told.append(text)
 
+        def debug(self, text: str) -> None:
+            pass
+
     log: Any = Log()
-    guarded = Guard(log).plain("cancelling", lambda handle: 1 / 0, "refused")
+    context = rclpy.Context()
+    guarded = Guard(log, context).plain("cancelling", lambda handle: 1 / 0, "refused")
+    # Before its start and after its end ROS fails in whatever is asked of it.
+    assert guarded(None) == "refused" and not told
+    rclpy.init(context=context)
     assert guarded(None) == guarded(None) == "refused"
     # Logged once, with the traceback.
     assert len(told) == 1 and "ZeroDivisionError" in told[0] and "Traceback" in told[0]
+    context.shutdown()
 
 
 def test_a_fault_in_a_transition_is_a_failure(

@@ -43,9 +43,6 @@ __all__ = [
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 """A switch without a --no- twin."""
 
-LARGEST_REGION = 100.0
-"""No hall is longer (m)."""
-
 Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")]
 
 
@@ -134,12 +131,9 @@ def read_region(path: Path) -> tuple[OrientedBox, bool]:
     walls = content.get("walls", True)
     if not isinstance(walls, bool):
         raise InvalidRequestError(f"region file {path} has walls: {walls!r}; {expected}.")
-    if max(size) > LARGEST_REGION:
-        raise InvalidRequestError(
-            f"region file {path} has the size {size}; expected metres. It looks like millimetres: "
-            "divide size and place by 1000."
-        )
-    return OrientedBox(matrix_from_pose7(pose), size), walls
+    box = OrientedBox(matrix_from_pose7(pose), size)
+    box.check_units()
+    return box, walls
 
 
 Dataclass = TypeVar("Dataclass")
