@@ -99,6 +99,7 @@ def read_region(path: Path) -> tuple[OrientedBox, bool]:
     Raises:
         InvalidRequestError: the file is missing or wrong.
     """
+    import numpy as np
     import yaml
 
     from megrasp_core.lie import matrix_from_pose7
@@ -131,7 +132,7 @@ def read_region(path: Path) -> tuple[OrientedBox, bool]:
     walls = content.get("walls", True)
     if not isinstance(walls, bool):
         raise InvalidRequestError(f"region file {path} has walls: {walls!r}; {expected}.")
-    box = OrientedBox(matrix_from_pose7(pose), size)
+    box = OrientedBox(matrix_from_pose7(pose), np.array(size))
     box.check_units()
     return box, walls
 
