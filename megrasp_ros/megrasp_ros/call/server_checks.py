@@ -394,11 +394,13 @@ class ServerChecks:
     def _until(self, done: Callable[[], bool], seconds: float | None = None) -> None:
         """Wait for what the network has yet to tell: who has listened for long has heard it.
 
-        seconds: since the first check, in place of the patience.
+        seconds: from now on, in place of the patience.
         """
-        end = self._started + (self._patience if seconds is None else seconds)
+        now = time.monotonic()
         if seconds is None:
-            end = max(end, time.monotonic() + self._patience / 4)
+            end = max(self._started + self._patience, now + self._patience / 4)
+        else:
+            end = now + seconds
         while not done() and time.monotonic() < end:
             self._pause(0.05)
 

@@ -48,10 +48,7 @@ def _refuse_alike(fingers: Sequence[Finger], tips: NDArray[np.float64]) -> None:
     moved = tips[1] - tips[0]
     apart = float(np.linalg.norm(moved - moved.mean(axis=0), axis=1).max())
     if apart < ALIKE_MOTION * float(np.linalg.norm(moved, axis=1).max()):
-        raise DescriptionError(
-            f"{', '.join(finger.name for finger in fingers)} all move the same way and close on "
-            f"nothing: {NO_SUCTION}"
-        )
+        raise _closes_on_nothing(fingers, "all move the same way")
 
 
 def _refuse_sprung(
@@ -68,10 +65,7 @@ def _refuse_sprung(
             return
         if leads_aside(mechanism, poses, finger, way / size) >= BESIDE:
             return
-    raise DescriptionError(
-        f"{', '.join(finger.name for finger in fingers)} move in and out of the base and close on "
-        f"nothing: {NO_SUCTION}"
-    )
+    raise _closes_on_nothing(fingers, "move in and out of the base")
 
 
 def _refuse_bellows(
@@ -90,10 +84,7 @@ def _refuse_bellows(
         size = float(np.linalg.norm(line) * np.linalg.norm(way))
         if size > 0.0 and abs(float(line @ way)) >= BESIDE_EACH_OTHER * size:
             return
-    raise DescriptionError(
-        f"{', '.join(finger.name for finger in fingers)} slide beside each other and close on "
-        f"nothing: {NO_SUCTION}"
-    )
+    raise _closes_on_nothing(fingers, "slide beside each other")
 
 
 def refuse_tilting(
@@ -117,3 +108,8 @@ def refuse_tilting(
             f"{NO_SUCTION}. If they do hold something, give both postures: --open joint=value ... "
             "--closed joint=value ..."
         )
+
+
+def _closes_on_nothing(fingers: Sequence[Finger], what: str) -> DescriptionError:
+    names = ", ".join(finger.name for finger in fingers)
+    return DescriptionError(f"{names} {what} and close on nothing: {NO_SUCTION}")
