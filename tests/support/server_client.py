@@ -226,9 +226,14 @@ class Latest:
 
     def __init__(self, client: Client, kind: type, topic: str) -> None:
         self.messages: list = []
+        self.node = client.node
         self.subscription = client.node.create_subscription(
             kind, topic, self.messages.append, LATCHED
         )
+
+    def close(self) -> None:
+        """Look no longer."""
+        self.node.destroy_subscription(self.subscription)
 
     @property
     def last(self):

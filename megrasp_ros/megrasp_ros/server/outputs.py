@@ -78,19 +78,14 @@ class Outputs:
         """Publish `pregrasps`, `approach_poses` and `grasps`, in this order, and the pictures."""
         self._poses(picture.grasps, gripper_from_reference)
         with self._lock:
-            self._picture = picture
-            self._shown -= {"markers", "scene"}
+            self._withdraw(picture)
         self.show()
 
     def nothing(self) -> None:
         """Publish empty poses and grasps, so that nobody executes the earlier ones."""
-        empty = GraspArray(header=Header(stamp=self._node.get_clock().now().to_msg()))
-        self._poses(empty, None)
+        self._poses(self._empty(), None)
         with self._lock:
-            self._picture = None
-            if "markers" in self._shown:
-                self._markers.publish(grasp_markers(empty, None))
-            self._shown -= {"markers", "scene"}
+            self._withdraw(None)
 
     def active(self, gripper: Gripper) -> None:
         """Publish the gripper that is active from now on."""
@@ -121,6 +116,16 @@ class Outputs:
         if self._wanted("scene", self._scene, shown):
             cloud = cloud_message(picture.points, frame=header.frame_id, stamp=header.stamp)
             self._publish("scene", self._scene, cloud, still)
+
+    def _empty(self) -> GraspArray:
+        return GraspArray(header=Header(stamp=self._node.get_clock().now().to_msg()))
+
+    def _withdraw(self, picture: Picture | None) -> None:
+        """Take back what is shown, also where nobody looks now, for `picture` to follow."""
+        self._picture = picture
+        if "markers" in self._shown:
+            self._markers.publish(grasp_markers(self._empty(), None))
+        self._shown -= {"markers", "scene"}
 
     def _poses(self, grasps: GraspArray, gripper_from_reference: FloatArray | None) -> None:
         for publisher, which in ((self._pregrasps, "pregrasp"), (self._approach, "approach")):
