@@ -37,7 +37,8 @@ from megrasp_ros.server.sensor_source import others_with
 from megrasp_ros.server.synthesis import options_of
 from megrasp_ros.server.worker import Job
 
-from .server_checks import cloud_topic, type_name
+from .checks.input import type_name
+from .checks.server import cloud_topic
 
 if TYPE_CHECKING:
     from viser import ViserServer

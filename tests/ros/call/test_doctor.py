@@ -15,7 +15,10 @@ from server_client import Client, camera, cloud_of, still_serves, table_points
 from std_msgs.msg import String
 
 from megrasp_ros.call.app import run
-from megrasp_ros.call.server_checks import ServerChecks, cloud_topic
+from megrasp_ros.call.checks.asked import Asked
+from megrasp_ros.call.checks.input import InputChecks
+from megrasp_ros.call.checks.server import cloud_topic, health, presence
+from megrasp_ros.call.doctor import running_system
 from megrasp_ros.client import GraspClient
 from megrasp_ros.qos import SENSOR
 
@@ -35,7 +38,8 @@ def looked_at(
     with GraspClient.open(
         "doctor", domain_id=own_domain(offset), namespace=namespace, timeout=20.0
     ) as client:
-        checks = ServerChecks(client, "grasp_server", points, 2.0, patience).run()
+        asked = Asked(client, "grasp_server", seconds=2.0, patience=patience)
+        checks, _ = running_system(asked, points)
     return {check.what: (check.level, check.text) for check in checks}
 
 
@@ -88,7 +92,7 @@ def test_no_server_at_all_and_one_elsewhere() -> None:
         )  # fmt: skip
         # It is there and no lifecycle node.
         with GraspClient.open("doctor", domain_id=own_domain(6), timeout=0.5) as client:
-            (line,) = ServerChecks(client, "grasp_server", "points", 1.0, 20.0).server()
+            line, _ = presence(Asked(client, "grasp_server", seconds=1.0, patience=20.0))
         assert line.level == "fail" and "does not tell its state" in line.text
 
 
@@ -137,7 +141,8 @@ def test_no_cloud_where_the_server_looks(server: Client) -> None:
         level, text = looked_at(points="camera/points", patience=5.0)["points"]
         assert level == "fail" and "nobody publishes /points" in text
         with GraspClient.open("doctor", domain_id=own_domain(1)) as client:
-            (line,) = ServerChecks(client, "no_server", "camera/points", 1.0, SHORT).cloud()
+            nobody = Asked(client, "no_server", seconds=1.0, patience=SHORT)
+            (line,) = InputChecks(nobody, "camera/points", {}, None).cloud()
         assert line.level == "fail" and "nothing came in 1 s" in line.text
     finally:
         in_executor(server.node, lambda: server.node.destroy_publisher(elsewhere))
@@ -155,7 +160,8 @@ def test_depth_images_and_their_camera() -> None:
         spinning_node(own_domain(6), "camera") as camera,
         GraspClient.open("doctor", domain_id=own_domain(6)) as client,
     ):
-        checks = ServerChecks(client, "grasp_server", "points", 1.0, 2.0)
+        asked = Asked(client, "grasp_server", seconds=1.0, patience=2.0)
+        checks = InputChecks(asked, "points", {}, None)
         camera.create_publisher(Image, "depth", SENSOR)
         assert checks.images()[0].text.startswith("nobody publishes /camera_info;")
         camera.create_publisher(CameraInfo, "camera_info", SENSOR)
@@ -192,9 +198,10 @@ def test_topics_that_the_server_is_remapped_to() -> None:
         publisher = server.create_publisher(DiagnosticArray, "/diagnostics", 1)
         server.create_publisher(PointCloud2, "points", SENSOR)
         server.create_timer(0.2, lambda: publisher.publish(DiagnosticArray(status=[status])))
-        checks = ServerChecks(client, "grasp_server", "points", 1.0, SHORT)
-        (health,) = checks.health()
-        assert health.level == "fail" and "203" in health.text and "robotiq_2f85" in health.text
+        asked = Asked(client, "grasp_server", seconds=1.0, patience=SHORT)
+        line, heard = health(asked)
+        assert line.level == "fail" and "203" in line.text and "robotiq_2f85" in line.text
+        checks = InputChecks(asked, "points", heard, None)
         assert "nobody publishes /dead" in checks.cloud()[0].text
         assert "nobody publishes /depth, /gone" in checks.images()[0].text
         assert cloud_topic(client.node, "grasp_server") == "/dead"

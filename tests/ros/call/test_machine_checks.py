@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from megrasp_ros.call import machine_checks as machine
+from megrasp_ros.call.checks import machine
 
 CONFIG = Path(__file__).parents[3] / "launch_scripts" / "config"
 VERSIONS = {"megrasp_core": "1.0", "megrasp_ros": "1.0", "numpy": "2.1.0", "torch": "2.13.0"}

@@ -5,9 +5,8 @@ from __future__ import annotations
 import importlib.metadata
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 from xml.etree import ElementTree
 
 from ament_index_python.packages import get_package_share_directory
@@ -17,23 +16,10 @@ from megrasp_msgs.srv import SynthesizeGrasps
 import megrasp_core
 from megrasp_ros.fast_dds import shared_memory_warning
 
-Level = Literal["ok", "warn", "fail"]
+from .check import Check
 
 LIMITS = Path("/proc/sys/net/core")
 PROFILE = "launch_scripts/config/fastdds.xml"
-
-
-@dataclass(frozen=True)
-class Check:
-    """One line: what was looked at, whether it is in order, what was found and what to change."""
-
-    what: str
-    level: Level
-    text: str
-
-    def line(self) -> str:
-        """For a terminal."""
-        return f"{self.level:<5}{self.what:<15}{self.text}"
 
 
 def installed_versions() -> dict[str, str]:

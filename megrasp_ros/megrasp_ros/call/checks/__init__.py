@@ -1,0 +1,1 @@
+"""What `megrasp_call doctor` looks at: a file each for machine, server, input, listeners."""
