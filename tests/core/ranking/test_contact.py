@@ -117,7 +117,7 @@ def test_the_distance_field_agrees_with_exact_distances():
     radius = rng.uniform(0.032, 0.048, 200)
     for unit, r in zip(direction, radius):
         point = (unit * r).astype(np.float32)[:, None]
-        assert field.least(point) == pytest.approx(r - 0.03, abs=0.0012)
+        assert field.least([point])[0] == pytest.approx(r - 0.03, abs=0.0012)
     far = np.array([[0.3], [0.0], [0.0]], dtype=np.float32)
-    assert field.least(far) == field.limit
-    assert field.least(np.zeros((3, 0), dtype=np.float32)) == field.limit
+    nothing = np.zeros((3, 0), dtype=np.float32)
+    assert (field.least([far, nothing]) == field.limit).all() and len(field.least([])) == 0

@@ -9,7 +9,7 @@ from megrasp_core.errors import GravityError
 
 from .box import OrientedBox
 from .plane import support_plane
-from .voxels import voxel_means
+from .voxels import VoxelGroups, voxel_means
 
 FloatArray = NDArray[np.float64]
 
@@ -26,7 +26,10 @@ WALL_STRIP = 0.012
 
 
 def only_support_left(
-    points: FloatArray, region: OrientedBox | None, gravity: FloatArray | None
+    points: FloatArray,
+    region: OrientedBox | None,
+    gravity: FloatArray | None,
+    normals: FloatArray | None = None,
 ) -> bool:
     """Whether the region shows its support surface and nothing on it.
 
@@ -36,6 +39,7 @@ def only_support_left(
         points: (N, 3) finite (m).
         region: in the same frame; None: all points count.
         gravity: (3,) in the same frame; None where unknown.
+        normals: (N, 3) unit, towards the sensor; estimated when missing.
     """
     if region is not None:
         # Inwards at the sides, but down to below the floor and up to the rim.
@@ -44,11 +48,18 @@ def only_support_left(
         size[axis] = region.size[axis] + 2 * WALL_STRIP
         if (size <= 0).any():
             return False
-        points = points[OrientedBox(region.world_from_box, size).contains(points)]
+        inside = OrientedBox(region.world_from_box, size).contains(points)
+        points = points[inside]
+        normals = None if normals is None else normals[inside]
     if len(points) < 30:
         return False
-    voxels = voxel_means(points, VOXEL)
-    plane = support_plane(voxels, gravity)
+    groups = VoxelGroups(points, VOXEL)
+    voxels = groups.mean(points)
+    if normals is not None:
+        normals = groups.mean(normals)
+        # Sides that look away from each other may cancel; a zero is on no plane.
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    plane = support_plane(voxels, gravity, normals=normals)
     if plane is None:
         return False
     return int(np.count_nonzero(plane.height(voxels) > MIN_HEIGHT)) < MIN_VOXELS

@@ -238,11 +238,13 @@ def _clearance(
     """
     field = probe.field
     scene = observation.surface_points.T
-    result = np.full(len(poses), field.limit, dtype=np.float32)
-    for i, pose in enumerate(poses):
+
+    def seen_from(pose: np.ndarray) -> np.ndarray:
         rotation, origin = pose[:3, :3].astype(np.float32), pose[:3, 3].astype(np.float32)
         near = inside_bounds(scene, *posed_box_bounds(pose, field.low, field.high))
-        result[i] = field.least(rotation.T @ (scene[:, near] - origin[:, None]))
+        return rotation.T @ (scene[:, near] - origin[:, None])
+
+    result = field.least(seen_from(pose) for pose in poses)
     structure = observation.structure_distance(points.reshape(-1, 3))
     nearest = structure.reshape(points.shape[:2]).min(axis=1, initial=np.inf)
     return np.minimum(result, nearest).astype(np.float32)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,24 +52,36 @@ class DistanceField:
         """(3,) float32, the corner of the grid opposite to `low` (m)."""
         return self.low + np.float32(self.spacing) * np.array(self.values.shape, np.float32)
 
-    def least(self, points: np.ndarray) -> float:
-        """Least distance of points (3, P) float32 in the gripper frame, `limit` without any (m).
+    def least(self, clouds: Iterable[np.ndarray]) -> np.ndarray:
+        """Least distance (n,) of each of n clouds, `limit` where none of it is in the grid (m).
 
         All points are looked up at their nearest grid point, the best ones again in between.
+
+        Args:
+            clouds: points (3, P) float32 in the gripper frame (m), of any number P each.
         """
-        scale = np.float32(1.0 / self.spacing)
-        at = (points - self.low[:, None]) * scale
+        best = [self._best(points) for points in clouds]
+        counts = np.array([at.shape[1] for at in best], dtype=np.intp)
+        result = np.full(len(best), self.limit, dtype=np.float32)
+        some = counts > 0
+        if some.any():
+            between = self._between(np.concatenate(best, axis=1))
+            begins = (np.cumsum(counts) - counts)[some]
+            result[some] = np.minimum.reduceat(between, begins)
+        return result
+
+    def _best(self, points: np.ndarray) -> np.ndarray:
+        """Grid coordinates (3, at most `BEST`) of the points (3, P) that may be nearest."""
+        at = (points - self.low[:, None]) * np.float32(1.0 / self.spacing)
         nx, ny, nz = self.values.shape
         x, y, z = at
         inside = (x >= 0) & (x < nx - 1) & (y >= 0) & (y < ny - 1) & (z >= 0) & (z < nz - 1)
         at = at[:, inside]
-        if at.shape[1] == 0:
-            return self.limit
+        if at.shape[1] <= BEST:
+            return at
         near = (at + np.float32(0.5)).astype(np.int32)
         rough = self.values.ravel()[(near[0] * ny + near[1]) * nz + near[2]]
-        if at.shape[1] > BEST:
-            at = at[:, np.argpartition(rough, BEST)[:BEST]]
-        return float(self._between(at).min())
+        return at[:, np.argpartition(rough, BEST)[:BEST]]
 
     def _between(self, at: np.ndarray) -> np.ndarray:
         """Trilinear values (P,) at grid coordinates (3, P)."""

@@ -83,7 +83,7 @@ def perceive(
     objects = LabelledObjects.of(surface, request.target)
     # Under a floor that is only thought to be there, a flat object may be all that is seen.
     empty = not structure.estimated and only_support_left(
-        surface.points, request.region, surface.gravity
+        surface.points, request.region, surface.gravity, surface.normals
     )
     if empty and request.region is None:
         check_not_upside_down(surface.points, surface.gravity)

@@ -40,6 +40,7 @@ from .sampling import draw_starts
 from .scene_judge import Assessment
 from .selection import rank_poses
 from .settings import SynthesizerSettings
+from .torch_threads import torch_threads
 from .trace import OnTrace, Trace
 
 __all__ = ["Cancelled", "OnPoses", "OnStep", "SynthesisRun"]
@@ -78,13 +79,14 @@ class SynthesisRun:
         on_trace: OnTrace | None = None,
         cancelled: Cancelled | None = None,
         at_once: int | None = None,
+        threads: int | None = None,
     ) -> None:
         self.model, self.schedule, self.sampler = model, schedule, sampler
         self.settings, self.scene_settings = settings, scene_settings
         self.mounted, self.request = mounted, request
         self.on_step, self.on_poses, self.cancelled = on_step, on_poses, cancelled
         self.on_trace = on_trace
-        self.at_once = at_once
+        self.at_once, self.threads = at_once, threads
         self.centroid = np.zeros(3)
         self.timing: dict[str, float] = {}
         self.notes: tuple[str, ...] = ()
@@ -182,7 +184,8 @@ class SynthesisRun:
 
     def _descend(self, field: SceneField, starts: Tensor) -> PoseBatch:
         steps = descend(self._denoiser(field), starts, self.sampler, self.schedule, self.generator)
-        return last_step(steps, self._report, self.cancelled).poses
+        with torch_threads(self.threads):
+            return last_step(steps, self._report, self.cancelled).poses
 
     def _refine(self, field: SceneField, poses: PoseBatch) -> PoseBatch:
         sampler = self.sampler
@@ -191,7 +194,8 @@ class SynthesisRun:
         steps = refine(self._denoiser(field), poses, sampler, self.schedule, self.generator)
         done = sampler.descend_evaluations
         later = (replace(step, index=done + step.index, total=done + step.total) for step in steps)
-        return last_step(later, self._report, self.cancelled).poses
+        with torch_threads(self.threads):
+            return last_step(later, self._report, self.cancelled).poses
 
     def _denoiser(self, field: SceneField) -> Denoise:
         def some(poses: PoseBatch, s: Tensor) -> Tensor:

@@ -27,6 +27,7 @@ from .result import Synthesis
 from .run import Cancelled, OnPoses, OnStep, SynthesisRun
 from .scene_judge import Assessment
 from .settings import SynthesizerSettings
+from .torch_threads import torch_threads
 from .trace import OnTrace
 
 __all__ = ["GraspSynthesizer"]
@@ -60,7 +61,7 @@ class GraspSynthesizer:
             model: on its device, in evaluation mode.
             gripper: name, folder or loaded gripper; may be set later.
             settings: see `SynthesizerSettings`.
-            threads: torch threads during a call; None leaves them as they are.
+            threads: torch threads of the sampling; None leaves them as they are in all phases.
 
         Raises:
             UnknownGripperError, DescriptionError, InvalidRequestError.
@@ -193,6 +194,7 @@ class GraspSynthesizer:
                 on_trace=on_trace,
                 cancelled=cancelled,
                 at_once=at_once,
+                threads=self.threads,
             ).run(cloud)
         if offset.any():
             result = replace(result, grasps=[grasp.moved(offset) for grasp in result.grasps])
@@ -225,16 +227,11 @@ class GraspSynthesizer:
 
     @contextmanager
     def _running(self) -> Iterator[None]:
-        """No gradients, and the asked number of threads for the time of the call."""
-        before = torch.get_num_threads()
-        if self.threads is not None:
-            torch.set_num_threads(self.threads)
-        try:
-            with torch.inference_mode():
-                yield
-        finally:
-            if self.threads is not None:
-                torch.set_num_threads(before)
+        """No gradients, and one thread where a number is asked for: of all phases only the
+        sampling gains by more, and threads that wait for work slow the others down.
+        """
+        with torch_threads(None if self.threads is None else 1), torch.inference_mode():
+            yield
 
 
 def _moved_back(on_poses: OnPoses, offset: np.ndarray) -> OnPoses:
