@@ -79,7 +79,7 @@ class SynthesisRun:
         on_trace: OnTrace | None = None,
         cancelled: Cancelled | None = None,
         at_once: int | None = None,
-        threads: int | None = None,
+        threads: int = 1,
     ) -> None:
         self.model, self.schedule, self.sampler = model, schedule, sampler
         self.settings, self.scene_settings = settings, scene_settings

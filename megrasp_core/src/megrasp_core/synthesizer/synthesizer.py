@@ -61,7 +61,7 @@ class GraspSynthesizer:
             model: on its device, in evaluation mode.
             gripper: name, folder or loaded gripper; may be set later.
             settings: see `SynthesizerSettings`.
-            threads: torch threads of the sampling; None leaves them as they are in all phases.
+            threads: torch threads of the sampling; None: as many as torch has been told.
 
         Raises:
             UnknownGripperError, DescriptionError, InvalidRequestError.
@@ -180,6 +180,7 @@ class GraspSynthesizer:
                 on_poses = _moved_back(on_poses, offset)
             if on_trace is not None:
                 on_trace = _with_offset(on_trace, offset)
+        threads = self.threads or torch.get_num_threads()
         with self._running():
             result = SynthesisRun(
                 self.model,
@@ -194,7 +195,7 @@ class GraspSynthesizer:
                 on_trace=on_trace,
                 cancelled=cancelled,
                 at_once=at_once,
-                threads=self.threads,
+                threads=threads,
             ).run(cloud)
         if offset.any():
             result = replace(result, grasps=[grasp.moved(offset) for grasp in result.grasps])
@@ -227,10 +228,10 @@ class GraspSynthesizer:
 
     @contextmanager
     def _running(self) -> Iterator[None]:
-        """No gradients, and one thread where a number is asked for: of all phases only the
-        sampling gains by more, and threads that wait for work slow the others down.
+        """No gradients, and one thread: of all phases only the sampling gains by more, and
+        threads that wait for work slow the others down.
         """
-        with torch_threads(None if self.threads is None else 1), torch.inference_mode():
+        with torch_threads(1), torch.inference_mode():
             yield
 
 

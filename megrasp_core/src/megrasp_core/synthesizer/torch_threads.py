@@ -11,13 +11,11 @@ __all__ = ["torch_threads"]
 
 
 @contextmanager
-def torch_threads(count: int | None) -> Iterator[None]:
-    """So many threads within, as many as before afterwards; None leaves them as they are."""
+def torch_threads(count: int) -> Iterator[None]:
+    """So many threads within, as many as before afterwards."""
     before = torch.get_num_threads()
-    if count is not None:
-        torch.set_num_threads(count)
+    torch.set_num_threads(count)
     try:
         yield
     finally:
-        if count is not None:
-            torch.set_num_threads(before)
+        torch.set_num_threads(before)
