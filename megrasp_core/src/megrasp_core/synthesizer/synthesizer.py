@@ -108,6 +108,18 @@ class GraspSynthesizer:
         """What the check uses of the gripper."""
         return self._mounted.probe if self._mounted else None
 
+    @property
+    def calibrated(self) -> SynthesizerSettings:
+        """The settings with the calibration that the model's config.json states for the gripper,
+        unless they bring their own: what every score is made with.
+        """
+        rank, gripper = self.settings.ranking.rank, self.gripper
+        if gripper is None or rank.calibration is not None:
+            return self.settings
+        stated = self.model.info.calibration_for(gripper.name, gripper.description.kind)
+        ranking = replace(self.settings.ranking, rank=replace(rank, calibration=stated))
+        return replace(self.settings, ranking=ranking)
+
     def set_gripper(self, gripper: Gripper | str | Path) -> Gripper:
         """Encode a gripper, or take it from the cache, and use it from now on.
 
@@ -189,7 +201,7 @@ class GraspSynthesizer:
                 schedule=self.schedule,
                 sampler=self.sampler,
                 scene_settings=self.scene_settings,
-                settings=_calibrated(self.settings, self.model, self._mounted.gripper),
+                settings=self.calibrated,
                 on_step=on_step,
                 on_poses=on_poses,
                 on_trace=on_trace,
@@ -221,7 +233,7 @@ class GraspSynthesizer:
             cloud, request = cloud.moved(-offset), request.moved(-offset)
             tcp[:, :3, 3] -= offset
         with self._running():
-            seen = perceive(cloud, request, self.scene_settings, self.settings.ranking)
+            seen = perceive(cloud, request, self.scene_settings, self.calibrated.ranking)
             field = self.model.encode_scene(seen.nodes)
             found = Assessor(self.model, self._mounted, seen, field).poses(tcp)
         return replace(found, poses=found.poses.moved(offset)) if offset.any() else found
@@ -248,17 +260,3 @@ def _far_origin(cloud: Cloud) -> np.ndarray:
     points = cloud.finite().points
     middle = np.median(points, axis=0) if len(points) else np.zeros(3)
     return np.round(middle) if np.linalg.norm(middle) > FAR else np.zeros(3)
-
-
-def _calibrated(
-    settings: SynthesizerSettings, model: GraspModel, gripper: Gripper
-) -> SynthesizerSettings:
-    """The settings with the calibration that `config.json` states for the gripper, unless they
-    bring their own.
-    """
-    stated = model.info.calibration_for(gripper.name, gripper.description.kind)
-    ranking = settings.ranking
-    if stated is None or ranking.rank.calibration is not None:
-        return settings
-    rank = replace(ranking.rank, calibration=stated)
-    return replace(settings, ranking=replace(ranking, rank=rank))
