@@ -78,6 +78,21 @@ def test_everything_is_returned_with_keep_all_best_first_failing_last(synthesize
     assert all(grasp.reason for grasp in result.grasps if not grasp.collision_free)
 
 
+def test_poses_that_were_not_refined_have_not_passed(model):
+    settings = SynthesizerSettings(refined=2, turns=False)
+    result = run(
+        GraspSynthesizer(model, "robotiq_2f85", settings=settings),
+        keep_all=True, num_grasps=300, drawn=300,
+    )  # fmt: skip
+    assert len(result.grasps) == 300
+    whole = [grasp for grasp in result.grasps if grasp.collision_free]
+    assert len(whole) <= 2, "only what was refined went through the whole check"
+    unrefined = [grasp for grasp in result.grasps if grasp.reason == "unrefined"]
+    assert len(unrefined) == result.rejected["unrefined"] > 0
+    free = [grasp.collision_free for grasp in result.grasps]
+    assert free == sorted(free, reverse=True)
+
+
 def test_poses_of_a_grasp_fit_each_other(synthesizer):
     gripper = synthesizer.gripper
     for grasp in run(synthesizer, keep_all=True, approach_distance=0.07).grasps:

@@ -34,7 +34,8 @@ MEANINGS = {
     "excluded": "failed before",
     "score": "less than min_score",
     "duplicate": "repeats a better grasp",
-    "surplus": "good, but more were found than asked for, or others promised more",
+    "surplus": "good, but more were found than asked for",
+    "unrefined": "looked at coarsely only: others promised more",
 }
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 1180px; margin: 2em auto; padding: 0 1em;

@@ -112,7 +112,8 @@ def roll_out(
             keep_all=True,
         ).grasps
         passing = [grasp for grasp in grasps if grasp.collision_free]
-        others = [grasp for grasp in grasps if not grasp.collision_free]
+        # What was never refined comes out of no synthesis.
+        others = [g for g in grasps if not g.collision_free and g.reason != "unrefined"]
         chosen = passing[: settings.judged]
         if others:
             picked = rng.permutation(len(others))[: settings.rejected]
