@@ -223,9 +223,7 @@ def test_terms_make_the_score_of_a_calibrated_model(
     synthesizer: GraspSynthesizer, explained: Explained, bin_scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stated = Calibration(bias=0.7, confidence=1.6, tilt=-0.4, hidden=-0.2, clearance=90.0)
-    info = dataclasses.replace(
-        synthesizer.model.info, heads=("confidence",), calibration=stated
-    )
+    info = dataclasses.replace(synthesizer.model.info, heads=("confidence",), calibration=stated)
     monkeypatch.setattr(synthesizer.model, "info", info)
     cloud, inside = bin_scene
     explanation = explained(cloud, region=inside)
