@@ -40,7 +40,7 @@ def evaluation(
     model: str | None = None,
     baseline: Flag = False,
     ceiling: Flag = False,
-    without: tuple[Literal["openings", "sweep", "turns", "polish"], ...] = (),
+    without: tuple[Literal["openings", "sweep", "turns", "back_off", "polish"], ...] = (),
     device: str = "cpu",
     threads: int | None = None,
     executor: Executor = "local",

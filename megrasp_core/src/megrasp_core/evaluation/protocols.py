@@ -302,8 +302,10 @@ def _judge_samples(
     options: dict,
     outcome: SceneOutcome,
 ) -> None:
-    """Judge every sample from the restored state; all go through the whole sampler (mode fast)."""
-    result = planner.plan(
+    """Judge every sample from the restored state; all go through the whole sampler (mode fast),
+    and nothing moves them after that.
+    """
+    result = planner.raw().plan(
         cloud,
         num_grasps=settings.samples,
         drawn=settings.samples,

@@ -10,13 +10,14 @@ from .result import RankedGrasp, Synthesis
 from .sampling import draw_starts
 from .scene_judge import Assessment, SceneJudge, seen_plane
 from .selection import rank_poses
-from .settings import PolishSettings, RankingSettings, Stage, SynthesizerSettings
+from .settings import REPAIRS, PolishSettings, RankingSettings, Stage, SynthesizerSettings
 from .synthesizer import GraspSynthesizer
 from .trace import Trace
 
 __all__ = [
     "MAX_DRAWN",
     "MAX_GRASPS",
+    "REPAIRS",
     "Assessment",
     "GraspSynthesizer",
     "Mode",

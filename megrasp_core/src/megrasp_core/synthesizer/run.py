@@ -128,7 +128,9 @@ class SynthesisRun:
                 poses = poses.part(torch.as_tensor(best, device=poses.device))
             poses = refined = self._refine(field, poses)
         with self._phase("rank"):
-            final = backed_off(assessor.samples(poses), assessor.poses, ranking.sweep)
+            final = assessor.samples(poses)
+            if self.settings.back_off:
+                final = backed_off(final, assessor.poses, ranking.sweep)
             final = self._polished(assessor, final)
             grasps, rejected = rank_poses(final, self.mounted.probe, request, ranking, left_out)
             parts = [(final, np.arange(len(final))), *([left_out] if left_out else [])]
