@@ -29,14 +29,13 @@ from megrasp_core.ranking import rejection_counts
 
 from .assessor import Assessor, MountedGripper
 from .hints import hints
-from .parts import in_parts
 from .perception import Perceived, perceive
 from .polish import polish, with_rows
 from .poses import PoseSet, pose_set, world_from_tcp
 from .repairs import backed_off, turned_over
 from .request import SynthesisRequest
 from .result import RankedGrasp, Synthesis
-from .sampling import draw_starts
+from .sampling import denoiser, draw_starts
 from .scene_judge import Assessment
 from .selection import rank_poses
 from .settings import SynthesizerSettings
@@ -200,16 +199,7 @@ class SynthesisRun:
             return last_step(later, self._report, self.cancelled).poses
 
     def _denoiser(self, field: SceneField) -> Denoise:
-        def some(poses: PoseBatch, s: Tensor) -> Tensor:
-            found = self.model.predict(field, self.mounted.code, poses, s)
-            if self.sampler.uses_score:
-                return torch.cat([found.residual[:, :3], found.score], dim=-1)
-            return found.residual
-
-        def denoise(poses: PoseBatch, s: Tensor) -> Tensor:
-            return in_parts(lambda rows: some(poses.part(rows), s[rows]), len(poses), self.at_once)
-
-        return denoise
+        return denoiser(self.model, field, self.mounted.code, self.sampler, self.at_once)
 
     def _trace(
         self,
