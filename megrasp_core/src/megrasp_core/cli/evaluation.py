@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 __all__ = ["evaluation"]
 
+BASELINE_STAGES = ("openings", "sweep", "back_off")
+"""Stages of the synthesis that the baseline shares."""
+
 
 def evaluation(
     gripper: str,
@@ -100,7 +103,8 @@ def evaluation(
         baseline: the analytic antipodal baseline instead of the model.
         ceiling: a planner that knows the true geometry and tries grasps before it names one: how
             far the protocol can be passed at all. Use it with --samples 0.
-        without: stages of the synthesis that are left out, to see what each of them gains.
+        without: stages of the synthesis that are left out, to see what each of them gains; not of
+            the ceiling, and of the baseline openings, sweep and back_off, since it has no others.
         device: cpu or cuda.
         threads: torch threads; where several processes run the scenes, one each without it.
         executor: local processes or a Ray cluster that run the scenes.
@@ -126,6 +130,15 @@ def evaluation(
                 "expected cpu, since the processes that run the scenes have no other device. "
                 "Leave one of them out."
             )
+    known = () if ceiling else BASELINE_STAGES if baseline else without
+    if not set(without) <= set(known):
+        raise InvalidRequestError(
+            f"--without {' '.join(without)} was given with "
+            f"{'--ceiling' if ceiling else '--baseline'}; expected "
+            f"{'none of it' if ceiling else 'some of ' + ', '.join(known)}, since it has no other "
+            "stages of the synthesis. Leave it out."
+        )
+    stages = SynthesizerSettings().without(without)
     rounds: ClutterSettings | None = None
     settings: ProtocolSettings | None = None
     if protocol == "packed" or protocol == "pile":
@@ -157,19 +170,15 @@ def evaluation(
     if ceiling:
         planner = CeilingPlanner(executing)
     elif baseline:
-        planner = AntipodalPlanner(loaded)
+        planner = AntipodalPlanner(loaded, synthesizer=stages)
     else:
         planner = ModelPlanner(
-            GraspSynthesizer.load(
-                model,
-                loaded,
-                device=device,
-                threads=threads,
-                settings=SynthesizerSettings().without(without),
-            )
+            GraspSynthesizer.load(model, loaded, device=device, threads=threads, settings=stages)
         )
     if rounds is not None:
-        return clutter_rates(rounds, executing, planner, objects, out, picture, loaded.name)
+        return clutter_rates(
+            rounds, executing, planner, objects, out, picture, loaded.name, without
+        )
     assert settings is not None
     pool = load_pool(objects)
     with progress_bar(len(pool), "graspable objects") as bar:

@@ -126,9 +126,11 @@ def write_judged(judged: Sequence[JudgedGrasps], path: Path) -> None:
     """Keep judged grasps for a later fit (npz); missing folders are made."""
     path.parent.mkdir(parents=True, exist_ok=True)
     values = {f.name: [getattr(part, f.name) for part in judged] for f in fields(JudgedGrasps)}
-    rows = {name: np.concatenate(values[name]) for name in ROWS}
-    facts = {name: np.array(values[name]) for name in values if name not in ROWS}
-    np.savez_compressed(path, count=[len(part.success) for part in judged], **rows, **facts)
+    content: dict[str, Any] = {
+        name: np.concatenate(parts) if name in ROWS else np.array(parts)
+        for name, parts in values.items()
+    }
+    np.savez_compressed(path, count=[len(part.success) for part in judged], **content)
 
 
 def read_judged(path: Path) -> list[JudgedGrasps]:

@@ -114,13 +114,13 @@ class AntipodalPlanner(Planner):
     ) -> None:
         self.gripper = gripper
         self.settings = settings or AntipodalSettings()
-        self._options = synthesizer or SynthesizerSettings()
-        self._probe: GripperProbe = gripper_probe(gripper, self._options.probe)
+        self.options = synthesizer or SynthesizerSettings()
+        self._probe: GripperProbe = gripper_probe(gripper, self.options.probe)
 
     def plan(self, cloud: Cloud, **options: Any) -> Synthesis:
         """Candidates through the same check; `drawn` of them."""
         began = time.perf_counter()
-        request, ranking = SynthesisRequest.of(**options), self._options.ranking
+        request, ranking = SynthesisRequest.of(**options), self.options.ranking
         seen = perceive(cloud, request, None, ranking)
         tcp = self.candidates(seen.nodes, request.drawn, np.random.default_rng(request.seed))
 
@@ -128,7 +128,7 @@ class AntipodalPlanner(Planner):
             return seen.judge.assess(pose_set(tcp, self.gripper, request), self._probe, None)
 
         assessed = assess(tcp)
-        if self._options.back_off:
+        if self.options.back_off:
             assessed = backed_off(assessed, assess, ranking.sweep)
         grasps, rejected = rank_poses(assessed, self._probe, request, ranking)
         return Synthesis(
@@ -144,7 +144,7 @@ class AntipodalPlanner(Planner):
 
     def raw(self) -> AntipodalPlanner:
         """The candidates as they are drawn."""
-        return AntipodalPlanner(self.gripper, self.settings, self._options.without(REPAIRS))
+        return AntipodalPlanner(self.gripper, self.settings, self.options.without(REPAIRS))
 
     def candidates(self, nodes: SceneNodes, count: int, rng: np.random.Generator) -> np.ndarray:
         """Draw `(count, 4, 4)` TCP poses in the frame of the cloud."""
