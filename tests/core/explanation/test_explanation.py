@@ -237,3 +237,13 @@ def test_terms_make_the_score_of_a_calibrated_model(
     assessed = synthesizer.assess(cloud, poses, region=inside)
     scores = [grasp.score for grasp in explanation.returned]
     np.testing.assert_allclose(assessed.score, scores, atol=1e-4)
+
+
+def test_the_region_that_is_proposed_far_away_fits(explained: Explained, bin_scene) -> None:
+    cloud, inside = bin_scene
+    far = np.array([400.0, -200.0, 0.0])
+    region = inside.transformed(pose(*far))
+    first = cause(explained(cloud.moved(far), region=moved(region, x=0.03)))
+    given = re.search(r"pose \[([-\d.e]+), ([-\d.e]+), ([-\d.e]+),", first)
+    assert given is not None
+    np.testing.assert_allclose([float(one) for one in given.groups()], region.centre, atol=0.003)

@@ -16,6 +16,7 @@ from megrasp_core.errors import (
     GravityError,
     InvalidRequestError,
     ModelError,
+    SensorPlaceError,
     UnknownGripperError,
 )
 from megrasp_core.network import PRESETS, GraspModel, save_model
@@ -144,6 +145,28 @@ def test_a_far_frame_moves_the_grasps_along(synthesizer):
         np.testing.assert_allclose(
             a.world_from_tcp[:3, 3] + shift, b.world_from_tcp[:3, 3], atol=2e-4
         )
+
+
+@pytest.mark.parametrize("how", ["synthesize", "assess"])
+def test_errors_of_a_far_scene_are_told_in_its_frame(synthesizer, how):
+    far = np.array([1000.0, 2000.0, 0.0])
+    cloud = table_cloud().moved(far)
+    asked = (cloud,) if how == "synthesize" else (cloud, np.eye(4)[None])
+    call = getattr(synthesizer, how)
+    beside = OrientedBox.around((1003.0, 2000.0, 0.0), (0.3, 0.3, 0.3))
+    with pytest.raises(EmptyRegionError, match=r"centre \[1003.0, 2000.0, 0.0\]"):
+        call(*asked, region=beside)
+    among = Cloud(cloud.points[cloud.points[:, 2] < 0.01])
+    inside = np.array([1000.0, 2000.0, 0.0005])
+    with pytest.raises(SensorPlaceError, match=r"\[1000.0, 2000.0, 0.0"):
+        call(among, *asked[1:], sensor=inside, gravity=None)
+
+
+def test_hints_of_a_far_scene_are_told_in_its_frame(synthesizer):
+    far = np.array([1000.0, 2000.0, 0.0])
+    moved, sensor = table_cloud().moved(far), np.add(far, (0.9, 0.0, 0.1))
+    found = synthesizer.synthesize(moved, sensor=sensor, seed=3, num_grasps=5, drawn=30)
+    assert "from the sensor at 1000.90 2000.00 0.10" in found.hints[0]
 
 
 def test_scene_is_encoded_once_a_cloud_and_gripper_once_a_gripper(model, monkeypatch):

@@ -127,7 +127,7 @@ def explain(
         cloud,
         trace.request,
         gripper,
-        setup_findings(cloud, trace.request, trace.observation),
+        setup_findings(cloud, trace.request, trace.observation, trace.offset),
         answer,
         trace,
         misses=tuple(near_misses(trace, settings)),

@@ -79,13 +79,18 @@ class SynthesisRun:
         cancelled: Cancelled | None = None,
         at_once: int | None = None,
         threads: int = 1,
+        offset: np.ndarray | None = None,
     ) -> None:
+        """Take everything in; `offset` (3,): from the coordinates of the request to those in
+        which hints name places (m), the rest as of `GraspSynthesizer`.
+        """
         self.model, self.schedule, self.sampler = model, schedule, sampler
         self.settings, self.scene_settings = settings, scene_settings
         self.mounted, self.request = mounted, request
         self.on_step, self.on_poses, self.cancelled = on_step, on_poses, cancelled
         self.on_trace = on_trace
         self.at_once, self.threads = at_once, threads
+        self.offset = offset
         self.centroid = np.zeros(3)
         self.timing: dict[str, float] = {}
         self.notes: tuple[str, ...] = ()
@@ -133,7 +138,7 @@ class SynthesisRun:
             final = self._polished(assessor, final)
             grasps, rejected = rank_poses(final, self.mounted.probe, request, ranking, left_out)
             parts = [(final, np.arange(len(final))), *([left_out] if left_out else [])]
-            told = hints(parts, seen.judge.observation, self.mounted.probe, request)
+            told = hints(parts, seen.judge.observation, self.mounted.probe, request, self.offset)
             self._trace(seen, starts, (descended, refined), final, left_out)
         return self._answer(grasps, rejected, start, told=told)
 

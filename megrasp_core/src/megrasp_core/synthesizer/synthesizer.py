@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from megrasp_core.diffusion import NoiseSchedule
-from megrasp_core.errors import InvalidRequestError
+from megrasp_core.errors import EmptyRegionError, InvalidRequestError, SensorPlaceError
 from megrasp_core.grippers import Gripper, load_gripper
 from megrasp_core.network import GraspModel, load_model
 from megrasp_core.pointcloud import Cloud, check_view
@@ -185,7 +185,7 @@ class GraspSynthesizer:
             gravity=request.gravity,
             region=request.region,
         )
-        offset = _far_origin(cloud)
+        offset, given = _far_origin(cloud), (cloud, request)
         if offset.any():
             cloud, request = cloud.moved(-offset), request.moved(-offset)
             if on_poses is not None:
@@ -193,7 +193,7 @@ class GraspSynthesizer:
             if on_trace is not None:
                 on_trace = _with_offset(on_trace, offset)
         threads = self.threads or torch.get_num_threads()
-        with self._running():
+        with self._running(), self._told_as(*given, offset):
             result = SynthesisRun(
                 self.model,
                 self._mounted,
@@ -208,6 +208,7 @@ class GraspSynthesizer:
                 cancelled=cancelled,
                 at_once=at_once,
                 threads=threads,
+                offset=offset,
             ).run(cloud)
         if offset.any():
             result = replace(result, grasps=[grasp.moved(offset) for grasp in result.grasps])
@@ -228,11 +229,11 @@ class GraspSynthesizer:
             raise InvalidRequestError("no gripper is set; expected one. Call set_gripper first.")
         request = SynthesisRequest.of(**options)
         tcp = np.array(world_from_tcp, dtype=np.float64)
-        offset = _far_origin(cloud)
+        offset, given = _far_origin(cloud), (cloud, request)
         if offset.any():
             cloud, request = cloud.moved(-offset), request.moved(-offset)
             tcp[:, :3, 3] -= offset
-        with self._running():
+        with self._running(), self._told_as(*given, offset):
             seen = perceive(cloud, request, self.scene_settings, self.calibrated.ranking)
             field = self.model.encode_scene(seen.nodes)
             found = Assessor(self.model, self._mounted, seen, field).poses(tcp)
@@ -245,6 +246,20 @@ class GraspSynthesizer:
         """
         with torch_threads(1), torch.inference_mode():
             yield
+
+    @contextmanager
+    def _told_as(
+        self, cloud: Cloud, request: SynthesisRequest, offset: np.ndarray
+    ) -> Iterator[None]:
+        """Errors that name places name them in the frame of the cloud as it was given, which is
+        looked at once more for that.
+        """
+        try:
+            yield
+        except (EmptyRegionError, SensorPlaceError):
+            if offset.any():
+                perceive(cloud, request, self.scene_settings, self.settings.ranking)
+            raise
 
 
 def _moved_back(on_poses: OnPoses, offset: np.ndarray) -> OnPoses:
