@@ -176,7 +176,7 @@ def _simulated(
 
     def execute(grasp: RankedGrasp, gripper: str) -> Outcome:
         cell.change_tool(gripper)
-        done = cell.execute(grasp.world_from_gripper, grasp.world_from_gripper_approach)
+        done = cell.execute_grasp(grasp)
         took = ", ".join(done.removed) or "nothing"
         told = f"it holds: took {took}" if done.success else f"it fails: {done.error}"
         return Outcome(f"{told}; {done.objects_left} objects left")

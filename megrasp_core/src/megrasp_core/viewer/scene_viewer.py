@@ -175,7 +175,7 @@ class SceneViewer:
         names = [*grippers, *([] if name in grippers else [name])]
         with gui.add_folder("Synthesis"):
             self.gripper = gui.add_dropdown("Gripper", names, initial_value=name)
-            self.seed = gui.add_number("Seed", int(request.seed or 0), min=0, max=2**31, step=1)
+            self.seed = gui.add_number("Seed", int(request.seed or 0), min=0, max=2**32 - 1, step=1)
             self.num_grasps = gui.add_number(
                 "Grasps", request.num_grasps, min=1, max=MAX_GRASPS, step=1
             )
