@@ -179,7 +179,7 @@ TABLE: dict[str, Spec] = {
         0.0,
         1.0,
     ),
-    "model": Spec("", "model id or folder; empty: the default model"),
+    "model": Spec("", "model id or folder; empty: the default for the kind of the gripper"),
     "device": Spec(
         "auto", "auto | cpu | cuda | cuda:N; auto takes a GPU if there is one", check=_device
     ),

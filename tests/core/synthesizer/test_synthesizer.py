@@ -18,7 +18,8 @@ from megrasp_core.errors import (
     ModelError,
     UnknownGripperError,
 )
-from megrasp_core.network import PRESETS, GraspModel, save_model
+from megrasp_core.grippers import load_gripper
+from megrasp_core.network import PRESETS, GraspModel, default_model, save_model
 from megrasp_core.pointcloud import Cloud, OrientedBox
 from megrasp_core.synthesizer import (
     GraspSynthesizer,
@@ -283,6 +284,17 @@ def test_threads_are_for_the_sampling_and_restored(threads, model, monkeypatch):
         end = sampling.index(before, 1)
         assert set(sampling[1:end]) == {"sample"}
         del sampling[: end + 1]
+
+
+def test_each_kind_of_gripper_has_its_default_model():
+    synthesizer = GraspSynthesizer.load(gripper="robotiq_2f85")
+    hand = synthesizer.model_for(load_gripper("shadow_hand_3f"))
+    assert hand is not synthesizer.model
+    assert run(synthesizer).model == synthesizer.model.model_id == default_model("adaptive")
+    synthesizer.set_gripper("shadow_hand_3f")
+    assert run(synthesizer).model == hand.model_id == default_model("hand")
+    one = GraspSynthesizer.load("megrasp-small", "shadow_hand_3f")
+    assert one.model.model_id == "megrasp-small"
 
 
 def test_no_threads_are_refused(model):

@@ -74,7 +74,7 @@ def view(
         follow: read the file again whenever it is written; replace it in one go (write, then
             rename), as nobody waits for half a file.
         objects: of the simulated bin.
-        model: id or folder; the default model without it.
+        model: id or folder; the default for the kind of the gripper without it.
         device: cpu or cuda.
         threads: torch threads.
         fast: to begin with.

@@ -23,9 +23,10 @@ __all__ = ["Assessor", "MountedGripper"]
 
 @dataclass(frozen=True)
 class MountedGripper:
-    """A gripper as the model and the check see it."""
+    """A gripper as the model and the check see it, and the model that plans for it."""
 
     gripper: Gripper
+    model: GraspModel
     code: GripperCode
     probe: GripperProbe
 
