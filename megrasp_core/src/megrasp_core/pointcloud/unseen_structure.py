@@ -35,8 +35,10 @@ MARGIN = 0.008
 """What is nearer to a support (m) may be part of it."""
 HIGHEST = 0.15
 """An object's top may be so high (m) over what it stands on, and be taken for a support."""
-STRAY = 0.01
-"""Share of the points that may lie below a support on which nothing lies."""
+STRAY = 0.02
+"""Share of the points that may lie below a support: sides of what is on it lie above."""
+SMALLEST = 0.01
+"""Area (m2) of the smallest support."""
 MOST = 1_000_000
 """Points that are put in on a floor or a wall; on larger ones they lie further apart."""
 BEYOND = 0.10
@@ -201,16 +203,18 @@ def _carries(surface: SurfaceCloud, on_plane: BoolArray, plane: Plane) -> bool:
     it. The tops of several carry none either: past them nothing is seen at that height.
     """
     height = plane.height(surface.points)
-    below = (height < -MARGIN) & (height > -HIGHEST)
-    if below.sum() > max(np.count_nonzero(height > MARGIN), STRAY * len(height)):
+    if ((height < -MARGIN) & (height > -HIGHEST)).mean() > STRAY:
         return False
     axes = _axes(plane.normal)
     flat = surface.points @ axes.T
     rest = flat[~on_plane]
     try:
-        sides = ConvexHull(flat[on_plane]).equations
+        hull = ConvexHull(flat[on_plane])
     except QhullError:
         return False
+    if hull.volume < SMALLEST:  # in two dimensions the area
+        return False
+    sides = hull.equations
 
     def beside(points: FloatArray) -> BoolArray:
         return (points @ sides[:, :2].T + sides[:, 2]).max(axis=1, initial=-np.inf) > 0.0
