@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from megrasp_core.drawing.splat import height_colours
 from megrasp_core.grippers import Gripper
@@ -39,7 +40,7 @@ SPACES = {
 class SceneDrawing:
     """Nodes of the page's scene; each call replaces what the same one drew before."""
 
-    def __init__(self, server: ViserServer, gravity: np.ndarray | None, gripper: Gripper) -> None:
+    def __init__(self, server: ViserServer, gravity: ArrayLike | None, gripper: Gripper) -> None:
         """Draw into the scene of a server.
 
         Args:
@@ -48,7 +49,7 @@ class SceneDrawing:
             gripper: see `mount`.
         """
         self._server = server
-        self._down = np.array([0.0, 0.0, 1.0]) if gravity is None else np.array(gravity, float)
+        self._down = np.asarray((0.0, 0.0, 1.0) if gravity is None else gravity, np.float64)
         self.mount(gripper)
 
     def look_at(self, box: OrientedBox) -> None:
