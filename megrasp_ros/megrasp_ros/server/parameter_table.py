@@ -183,7 +183,7 @@ TABLE: dict[str, Spec] = {
     "device": Spec(
         "auto", "auto | cpu | cuda | cuda:N; auto takes a GPU if there is one", check=_device
     ),
-    "threads": Spec(0, "CPU threads of the sampling; 0: torch's choice", 0, 256),
+    "threads": Spec(0, "CPU threads of the decoder; 0: torch's choice", 0, 256),
     "input": Spec(
         "points",
         "where clouds come from: points, the topic of that name; depth: the topics depth (16UC1 "

@@ -62,7 +62,7 @@ class GraspSynthesizer:
                 kind of the gripper is used.
             gripper: name, folder or loaded gripper; may be set later.
             settings: see `SynthesizerSettings`.
-            threads: torch threads of the sampling; None: as many as torch has been told.
+            threads: torch threads of the decoder; None: as many as torch has been told.
 
         Raises:
             UnknownGripperError, DescriptionError, InvalidRequestError.
@@ -256,8 +256,8 @@ class GraspSynthesizer:
 
     @contextmanager
     def _running(self) -> Iterator[None]:
-        """No gradients, and one thread: of all phases only the sampling gains by more, and
-        threads that wait for work slow the others down.
+        """No gradients, and one thread: only the decoder gains by more, and threads that wait
+        for work slow everything else down.
         """
         with torch_threads(1), torch.inference_mode():
             yield
