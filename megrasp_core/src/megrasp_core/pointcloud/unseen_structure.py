@@ -9,6 +9,7 @@ an object stays unknown.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -223,8 +224,7 @@ def _carries(surface: SurfaceCloud, on_plane: BoolArray, plane: Plane) -> bool:
         return False
     between = _grid(plane, _footprint(surface, plane), COARSE)
     between = between[~beside(between @ axes.T)]
-    views = [DepthImage(view.points, view.sensor) for view in surface.views]
-    looks = [image.lookup(between) for image in views]
+    looks = [view.image.lookup(between) for view in surface.views]
     seen = np.logical_or.reduce(
         [np.isfinite(front) & (front >= depth - TOLERANCE) for depth, front, _ in looks]
     )
@@ -309,9 +309,12 @@ class _ViewOfNothing:
 
     def __init__(self, surface: SurfaceCloud, view: View) -> None:
         self.sensor, self.region = view.sensor, surface.region
-        self.image = DepthImage(view.points, view.sensor)
+        self.image = view.image
         self._pad = round((NOTCH + RIM) / self.image.pixel_size) + 2
-        self._open = _open_patches(self.image, self._pad)
+
+    @cached_property
+    def _open(self) -> BoolArray:
+        return _open_patches(self.image, self._pad)
 
     def empty(
         self, points: FloatArray, bin_floor: Plane | None, *, all_gaps: bool = True
