@@ -38,8 +38,8 @@ SIDE_VIEW = 0.9
 """How steeply a single camera beside a table looks down (rad)."""
 CROPPED = 0.008
 """Up to this height over the table (m) a cloud is cut where the table is cut away."""
-BESIDE = 0.05
-"""So far outside the region (m) objects stay in such a cloud: they are still in the way."""
+BESIDE = 0.15
+"""So far outside the region (m) objects stay in such a cloud: a gripper at its edge reaches them."""
 
 CroppedFloor = Literal["known", "estimated"]
 PROTOCOLS: tuple[ProtocolName, ...] = ("binpick", "declutter", "single")
