@@ -39,7 +39,7 @@ SIDE_VIEW = 0.9
 CROPPED = 0.008
 """Up to this height over the table (m) a cloud is cut where the table is cut away."""
 BESIDE = 0.15
-"""So far outside the region (m) objects stay in such a cloud: a gripper at its edge reaches them."""
+"""So far outside the region (m) objects stay in such a cloud: grippers at its edge reach them."""
 
 CroppedFloor = Literal["known", "estimated"]
 PROTOCOLS: tuple[ProtocolName, ...] = ("binpick", "declutter", "single")
