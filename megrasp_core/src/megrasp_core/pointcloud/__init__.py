@@ -6,6 +6,7 @@ from .cloud import Cloud
 from .depth_image import DepthImage, DepthImageSettings
 from .depth_points import camera_matrix, depth_cloud, depth_points, read_depth_cloud
 from .emptiness import check_not_upside_down, only_support_left
+from .gravity import unit_gravity
 from .io import read_cloud, without_zeros, write_cloud
 from .knn import estimate_normals, neighbours, remove_outliers
 from .plane import Plane, PlaneSettings, support_plane
@@ -63,6 +64,7 @@ __all__ = [
     "scene_nodes",
     "support_plane",
     "surface_cloud",
+    "unit_gravity",
     "unseen_structure",
     "voxel_means",
     "without_zeros",

@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from megrasp_core.errors import CloudError, EmptyRegionError, GravityError, InvalidRequestError
+from megrasp_core.errors import CloudError, EmptyRegionError, InvalidRequestError
 from megrasp_core.meshes import farthest_points
 
 from .box import OrientedBox
 from .cloud import Cloud
+from .gravity import unit_gravity
 from .knn import local_normals, neighbours, oriented, outlier_mask
 from .plane import PlaneSettings, support_plane
 from .sensor import sensor_place
@@ -143,7 +144,7 @@ def surface_cloud(
     """
     settings = settings or SceneSettings()
     origin = _sensor(cloud, sensor)
-    down = _unit_gravity(gravity)
+    down = None if gravity is None else unit_gravity(gravity)
     if region is not None:
         middle = np.atleast_2d(origin).mean(axis=0)
         inside = grown_region(region, down, middle, settings).contains(cloud.points)
@@ -302,19 +303,6 @@ def _sensor(cloud: Cloud, sensor: ArrayLike | None) -> FloatArray:
             "optical frame it is 0 0 0."
         )
     return sensor_place(origin, len(cloud))
-
-
-def _unit_gravity(gravity: ArrayLike | None) -> FloatArray | None:
-    if gravity is None:
-        return None
-    vector = np.asarray(gravity, dtype=np.float64)
-    length = float(np.linalg.norm(vector)) if vector.shape == (3,) else float("nan")
-    if not np.isfinite(length) or length < 1e-6:
-        raise GravityError(
-            f"gravity {vector.tolist()} is not a direction; expected three numbers that point "
-            "down in the frame of the cloud, e.g. 0 0 -1 where z is up."
-        )
-    return vector / length
 
 
 def _nothing_in_region(cloud: Cloud, region: OrientedBox) -> EmptyRegionError:

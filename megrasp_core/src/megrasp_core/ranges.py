@@ -1,0 +1,114 @@
+"""Ranges of numbers that callers give, and one way to refuse what lies outside."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .errors import InvalidRequestError, MegraspError
+
+__all__ = [
+    "ANY", "COUNT", "FROM_ONE", "LENGTH", "POSITIVE", "SHARE", "Range", "check_number",
+    "check_ranges",
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Range:
+    """What a number may be; never NaN, infinite, a truth value or a text.
+
+    Attributes:
+        low: least value.
+        high: largest value.
+        above: it must be more than this.
+        below: it must be less than this.
+        whole: an integer.
+        optional: None is taken as well.
+        unit: for the message.
+    """
+
+    low: float = -sys.float_info.max
+    high: float = sys.float_info.max
+    above: float = -math.inf
+    below: float = math.inf
+    whole: bool = False
+    optional: bool = False
+    unit: str = ""
+
+    def takes(self, value: object) -> bool:
+        """Whether a value lies in it."""
+        if value is None:
+            return self.optional
+        kinds = (int, np.integer) if self.whole else (int, float, np.integer, np.floating)
+        if isinstance(value, bool) or not isinstance(value, kinds):
+            return False
+        # Holds for no NaN and no infinity, and for no whole number that is too large for a float.
+        return self.low <= value <= self.high and self.above < value < self.below
+
+    def __str__(self) -> str:
+        """In words, for a message."""
+        words = ["a whole number" if self.whole else "a number"]
+        least = abs(self.low) < sys.float_info.max
+        for bound, limit in (
+            ("from", self.low), ("over", self.above), ("to" if least else "up to", self.high),
+            ("below", self.below),
+        ):  # fmt: skip
+            if abs(limit) < sys.float_info.max:
+                words.append(f"{bound} {limit:.12g}")
+        text = " ".join(words) + (f" {self.unit}" if self.unit else "")
+        return f"{text}, or none" if self.optional else text
+
+
+ANY = Range()
+COUNT = Range(0, whole=True)
+FROM_ONE = Range(1, whole=True)
+SHARE = Range(0, 1)
+LENGTH = Range(0)
+POSITIVE = Range(above=0)
+
+
+def check_number(name: str, value: object, allowed: Range) -> None:
+    """Refuse a number outside its range.
+
+    Args:
+        name: of it, for the message.
+        value: of any type.
+        allowed: what it may be.
+
+    Raises:
+        InvalidRequestError: it is outside, or no number.
+    """
+    _refuse({name: value}, {name: allowed}, InvalidRequestError)
+
+
+def check_ranges(
+    settings: object, error: type[MegraspError] = InvalidRequestError, /, **allowed: Range
+) -> None:
+    """Refuse settings of which some are outside their ranges, all in one message.
+
+    Args:
+        settings: a dataclass; a field that is a tuple is held to the range entry by entry.
+        error: class of what is raised.
+        allowed: ranges by the name of the field.
+
+    Raises:
+        MegraspError: of the class `error`.
+    """
+    _refuse({name: getattr(settings, name) for name in allowed}, allowed, error)
+
+
+def _refuse(
+    values: Mapping[str, Any], allowed: Mapping[str, Range], error: type[MegraspError]
+) -> None:
+    wrong = []
+    for name, value in values.items():
+        entries = value if isinstance(value, tuple) else (value,)
+        if not all(allowed[name].takes(entry) for entry in entries):
+            wrong.append(f"{name} {value!r} was given; expected {allowed[name]}")
+    if wrong:
+        raise error(". ".join(wrong) + ".")
