@@ -48,7 +48,7 @@ class Range:
         if isinstance(value, bool) or not isinstance(value, kinds):
             return False
         # Holds for no NaN and no infinity, and for no whole number that is too large for a float.
-        return self.low <= value <= self.high and self.above < value < self.below
+        return bool(self.low <= value <= self.high and self.above < value < self.below)
 
     def __str__(self) -> str:
         """In words, for a message."""

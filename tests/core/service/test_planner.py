@@ -89,7 +89,7 @@ def test_places_on_a_map_keep_their_millimetres(monkeypatch: pytest.MonkeyPatch)
         return {}
 
     monkeypatch.setattr(PlannerClient, "_send", send)
-    far = points() + (512_345.678, 5_403_210.987, 310.0)
+    far = points() + np.array([512_345.678, 5_403_210.987, 310.0])
     PlannerClient().synthesize(far)
     PlannerClient().synthesize(points().astype(np.float32))
     np.testing.assert_array_equal(sent[0], far)

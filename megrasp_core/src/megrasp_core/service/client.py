@@ -70,7 +70,8 @@ class PlannerClient:
         arrays = {"points": given if given.dtype == np.float32 else given.astype(np.float64)}
         if labels is not None:
             arrays["labels"] = np.asarray(labels, dtype=np.int32)
-        if np.ndim(options.get("sensor")) == 2:
+        sensor = options.get("sensor")
+        if sensor is not None and np.ndim(sensor) == 2:
             arrays["viewpoint"] = np.asarray(options.pop("sensor"), dtype=np.float64)
         text = json.dumps({name: _plain(value) for name, value in options.items()})
         query = urllib.parse.urlencode({"request": text})

@@ -75,8 +75,8 @@ def request_of(options: dict[str, Any]) -> SynthesisRequest:
     try:
         if isinstance(given.get("region"), dict):
             region = given["region"]
-            size = _numbers(region["size"])
-            given["region"] = OrientedBox(matrix_from_pose7(_numbers(region["pose"])), size)
+            pose = matrix_from_pose7(_numbers(region["pose"]))
+            given["region"] = OrientedBox(pose, np.array(_numbers(region["size"]), np.float64))
         if isinstance(given.get("floor"), list):
             given["floor"] = Plane.of(_numbers(given["floor"]))
         if isinstance(given.get("exclude"), list):
