@@ -106,8 +106,6 @@ def test_a_lost_process_is_told_and_the_run_saved(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(dist, "all_reduce", lost)
     run = Run(SimpleNamespace())
-    with pytest.raises(
-        TrainingError, match=r"ended \(Connection closed by peer\).*saved"
-    ):
+    with pytest.raises(TrainingError, match=r"ended \(Connection closed by peer\).*saved"):
         loop._go_on(run, lambda: False, None)  # type: ignore[arg-type]
     assert run.saves == 1
