@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from .errors import InvalidRequestError, MegraspError
 
 __all__ = [
-    "ANY", "COUNT", "FROM_ONE", "LENGTH", "POSITIVE", "SHARE", "Range", "check_number",
-    "check_ranges",
+    "ANY", "COUNT", "FROM_ONE", "LENGTH", "POSITIVE", "SHARE", "WEIGHT", "Range", "check_ranges",
 ]  # fmt: skip
 
 
@@ -68,22 +65,8 @@ ANY = Range()
 COUNT = Range(0, whole=True)
 FROM_ONE = Range(1, whole=True)
 SHARE = Range(0, 1)
-LENGTH = Range(0)
+LENGTH = WEIGHT = Range(0)
 POSITIVE = Range(above=0)
-
-
-def check_number(name: str, value: object, allowed: Range) -> None:
-    """Refuse a number outside its range.
-
-    Args:
-        name: of it, for the message.
-        value: of any type.
-        allowed: what it may be.
-
-    Raises:
-        InvalidRequestError: it is outside, or no number.
-    """
-    _refuse({name: value}, {name: allowed}, InvalidRequestError)
 
 
 def check_ranges(
@@ -92,23 +75,17 @@ def check_ranges(
     """Refuse settings of which some are outside their ranges, all in one message.
 
     Args:
-        settings: a dataclass; a field that is a tuple is held to the range entry by entry.
+        settings: a dataclass; a field of several numbers is held to the range entry by entry.
         error: class of what is raised.
         allowed: ranges by the name of the field.
 
     Raises:
         MegraspError: of the class `error`.
     """
-    _refuse({name: getattr(settings, name) for name in allowed}, allowed, error)
-
-
-def _refuse(
-    values: Mapping[str, Any], allowed: Mapping[str, Range], error: type[MegraspError]
-) -> None:
     wrong = []
-    for name, value in values.items():
-        entries = value if isinstance(value, tuple) else (value,)
-        if not all(allowed[name].takes(entry) for entry in entries):
-            wrong.append(f"{name} {value!r} was given; expected {allowed[name]}")
+    for name, wanted in allowed.items():
+        value = getattr(settings, name)
+        if not all(map(wanted.takes, value if isinstance(value, (tuple, list)) else (value,))):
+            wrong.append(f"{name} {value!r} was given; expected {wanted}")
     if wrong:
         raise error(". ".join(wrong) + ".")

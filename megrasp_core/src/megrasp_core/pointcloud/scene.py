@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from megrasp_core.errors import CloudError, EmptyRegionError, InvalidRequestError
+from megrasp_core.errors import CloudError, EmptyRegionError
 from megrasp_core.meshes import farthest_points
+from megrasp_core.ranges import FROM_ONE, LENGTH, SHARE, Range, check_ranges
 
 from .box import OrientedBox
 from .cloud import Cloud
@@ -57,19 +58,18 @@ class SceneSettings:
 
     def __post_init__(self) -> None:
         """Refuse values that no cloud can satisfy."""
-        if not 0.0005 <= self.voxel <= 0.05:
-            raise InvalidRequestError(
-                f"voxel {self.voxel} is out of range; expected 0.0005 to 0.05 m."
-            )
-        if (
-            self.max_nodes < 1
-            or self.normal_neighbours < 3
-            or not (0 <= self.plane_keep <= 1 and 0 <= self.plane_share <= 1)
-        ):
-            raise InvalidRequestError(
-                f"scene settings {self} are not usable; expected max_nodes >= 1, "
-                "normal_neighbours >= 3, plane_keep and plane_share in 0..1."
-            )
+        check_ranges(
+            self,
+            voxel=Range(0.0005, 0.05, unit="m"),
+            max_nodes=FROM_ONE,
+            region_margin=LENGTH,
+            region_headroom=LENGTH,
+            plane_keep=SHARE,
+            plane_share=SHARE,
+            plane_band=LENGTH,
+            normal_neighbours=Range(3, whole=True),
+            outlier_ratio=LENGTH,
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ import numpy as np
 
 from megrasp_core.errors import InvalidRequestError
 from megrasp_core.pointcloud import DepthImage, DepthImageSettings, View
+from megrasp_core.ranges import LENGTH, check_ranges
 
 from .probe import thinned
 
@@ -50,6 +51,15 @@ class ObservationSettings:
     wall_margin: float = 0.001
     floor_margin: float = 0.001
     image: DepthImageSettings = field(default_factory=DepthImageSettings)
+
+    def __post_init__(self) -> None:
+        check_ranges(
+            self,
+            margin=LENGTH,
+            shell=LENGTH,
+            wall_margin=LENGTH,
+            floor_margin=LENGTH,
+        )
 
 
 class SceneObservation:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from megrasp_core.ranges import COUNT, LENGTH, POSITIVE, Range, check_ranges
+
 from .distance_field import DistanceField
 
 if TYPE_CHECKING:
@@ -54,6 +56,20 @@ class ProbeSettings:
     seed: int = 0
     narrower: tuple[float, ...] = (0.7, 0.45, 0.25)
     narrower_grid: float = 0.006
+
+    def __post_init__(self) -> None:
+        check_ranges(
+            self,
+            spacing=POSITIVE,
+            near=LENGTH,
+            far_spacing=POSITIVE,
+            approach_spacing=POSITIVE,
+            finger_spacing=POSITIVE,
+            clearance_range=POSITIVE,
+            seed=COUNT,
+            narrower=Range(above=0, below=1),
+            narrower_grid=POSITIVE,
+        )
 
 
 @dataclass(frozen=True)

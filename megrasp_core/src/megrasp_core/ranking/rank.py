@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from megrasp_core.ranges import LENGTH, POSITIVE, SHARE, WEIGHT, check_ranges
+
 from .calibration import Calibration
 from .check import GraspCheck, angular_distance
 from .contact import Contacts
@@ -40,6 +42,16 @@ class RankSettings:
     full_clearance: float = 0.003
     duplicate_distance: float = 0.01
     duplicate_angle: float = float(np.deg2rad(15.0))
+
+    def __post_init__(self) -> None:
+        check_ranges(
+            self,
+            unseen_weight=WEIGHT,
+            tight_weight=SHARE,
+            full_clearance=POSITIVE,
+            duplicate_distance=LENGTH,
+            duplicate_angle=LENGTH,
+        )
 
 
 def score_grasps(
