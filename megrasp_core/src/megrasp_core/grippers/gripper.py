@@ -30,7 +30,8 @@ TOKEN_CLOUD = 1024
 
 
 class Gripper:
-    """A gripper ready for rendering, simulation and the network. Frames and words:
+    """A gripper ready for rendering, simulation and the network; frames and words as in
+    docs/architecture.md.
 
     Loading compiles the model and checks the whole description, so a Gripper that exists is valid.
     Results that cost time are kept on the instance, clouds and collision points also on disk

@@ -21,7 +21,6 @@ __all__ = [
     "ClosingVolume",
     "GripperProbe",
     "ProbeSettings",
-    "closing_volume",
     "gripper_probe",
 ]
 
@@ -296,25 +295,6 @@ def _thin_rows(points: np.ndarray, spacing: float) -> np.ndarray:
     order = np.argsort(((scaled - cell - 0.5) ** 2).sum(axis=1))
     _, first = np.unique(key[order], return_index=True)
     return np.sort(order[first])
-
-
-def closing_volume(
-    points: np.ndarray, normals: np.ndarray, displacement: np.ndarray, tcp: np.ndarray
-) -> ClosingVolume | None:
-    """Box between the finger surfaces that face each other along X and move towards each other;
-    one of the two sides may stand still.
-
-    Args:
-        points: (C, 3) open surface in the gripper frame.
-        normals: (C, 3) outward normals.
-        displacement: (C, 3) from the open point to the same surface point when closed.
-        tcp: (3,) tool centre point.
-
-    Returns:
-        The box, or None where one of the two sides has no such surface.
-    """
-    pads = _find_pads(points, normals, displacement, np.asarray(tcp))
-    return None if pads is None else pads.volume(np.asarray(tcp))
 
 
 def _find_pads(

@@ -129,8 +129,8 @@ def excluded(
 
 
 def rejection_counts(reason: np.ndarray) -> dict[str, int]:
-    """Number of grasps per reason; those of `REASONS` are always present, the others where
-    they occur.
+    """Number of grasps per reason; those of `ALWAYS_COUNTED` are always present, the others
+    where they occur.
     """
     counts: dict[str, int] = {name: 0 for name in ALWAYS_COUNTED}
     names, numbers = np.unique(reason[reason != ""], return_counts=True)

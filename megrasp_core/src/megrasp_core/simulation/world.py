@@ -190,10 +190,6 @@ class World:
         pose[1, 3] += 10.0
         self.hand.place(pose, "open")
 
-    def gripper_pose(self) -> NDArray[np.float64]:
-        """World-from-gripper (4, 4) where the gripper is now."""
-        return self.hand.pose()
-
     def gripper_depth(self) -> float:
         """Deepest penetration of the gripper with anything, m; 0 if nothing is touched.
 

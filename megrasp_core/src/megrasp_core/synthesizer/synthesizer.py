@@ -32,6 +32,8 @@ from .trace import OnTrace
 
 __all__ = ["GraspSynthesizer"]
 
+KEPT_GRIPPERS = 64
+"""Grippers whose codes and probes are kept: one or two MB each."""
 FAR = 100.0
 """Farther from the origin (m) a scene is moved there for the time of a synthesis."""
 
@@ -118,14 +120,18 @@ class GraspSynthesizer:
             UnknownGripperError, DescriptionError: the gripper in use stays.
         """
         loaded = gripper if isinstance(gripper, Gripper) else load_gripper(gripper)
-        if loaded.hash not in self._encoded:
+        mounted = self._encoded.pop(loaded.hash, None)
+        if mounted is None:
             seed = self.settings.gripper_seed
             with self._running():
                 tokens = loaded.tokens(count=self.model.config.gripper_tokens, seed=seed)
                 code = self.model.encode_gripper(tokens)
             probe = gripper_probe(loaded, self.settings.probe)
-            self._encoded[loaded.hash] = MountedGripper(loaded, code, probe)
-        self._mounted = self._encoded[loaded.hash]
+            mounted = MountedGripper(loaded, code, probe)
+        # The one used last is the last; the one unused for longest goes.
+        self._encoded[loaded.hash] = self._mounted = mounted
+        while len(self._encoded) > KEPT_GRIPPERS:
+            del self._encoded[next(iter(self._encoded))]
         return self._mounted.gripper
 
     def synthesize(
