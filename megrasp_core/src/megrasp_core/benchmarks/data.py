@@ -14,6 +14,7 @@ from megrasp_core.grippers import Gripper, gripper_folders, load_gripper
 from megrasp_core.library import CandidateSettings, ObjectSurface, antipodal
 from megrasp_core.objects import ObjectModel, ObjectSet, procedural_names, procedural_object
 from megrasp_core.simulation import (
+    START_DEPTH,
     Bin,
     FreeSpaceRig,
     Reason,
@@ -31,9 +32,6 @@ NOISE = 5e-5
 
 FIRST_OBJECT = 1_300_000
 """Procedural objects from this seed on; neither training nor evaluation draws them."""
-
-MAX_DEPTH = 0.001
-
 
 PROFILED = 4
 """Objects whose trials are profiled."""
@@ -204,6 +202,6 @@ def _collisions(gripper: Gripper, world: World, count: int) -> dict[str, Any]:
     pose[:, 1, 0], pose[:, 1, 1] = np.sin(angle), -np.cos(angle)
     pose[:, :3, 3] = tip - np.einsum("nij,j->ni", pose[:, :3, :3], gripper.tcp)
     start = time.process_time()
-    colliding = float((start_depths(world, pose) > MAX_DEPTH).mean())
+    colliding = float((start_depths(world, pose) > START_DEPTH).mean())
     seconds = time.process_time() - start
     return {"collision_tests_per_second": count / max(seconds, 1e-9), "colliding": colliding}

@@ -79,6 +79,13 @@ class Gripper:
         return out
 
     @property
+    def tcp_from_gripper(self) -> NDArray[np.float64]:
+        """Pose (4, 4) of the gripper frame in the TCP frame, the inverse of `gripper_from_tcp`."""
+        out = np.eye(4)
+        out[:3, 3] = -self.tcp
+        return out
+
+    @property
     def open_joints(self) -> dict[str, float]:
         """All joint positions of the open posture, in model order."""
         return dict(self._postures["open"].joints)

@@ -114,11 +114,10 @@ def label_object(
         if trials.is_over or trials.held >= max(1, round(settings.fresh * settings.target)):
             break
         trials.attempt(pose)
-    tcp_from_gripper = np.linalg.inv(gripper.gripper_from_tcp)
     scale = 1.0
     while trials.held and not trials.is_over:
         near = trials.held_poses[int(rng.integers(trials.held))]
-        moved = gripper.gripper_from_tcp @ _move(settings, scale, rng) @ tcp_from_gripper
+        moved = gripper.gripper_from_tcp @ _move(settings, scale, rng) @ gripper.tcp_from_gripper
         result = trials.attempt(near @ moved)
         # What always holds is moved further, until about one grasp in three does.
         if result.reason is not Reason.START_COLLISION:

@@ -280,7 +280,7 @@ class _Trier:
         # Objects at rest sleep until touched: half the time, the same verdicts.
         self._world.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
         self._start = self._world.save()
-        self._tcp_from_gripper = np.linalg.inv(np.asarray(gripper.gripper_from_tcp, np.float64))
+        self._tcp_from_gripper = gripper.tcp_from_gripper
         self._back = np.eye(4)
         self._back[2, 3] = -settings.approach
 

@@ -13,6 +13,9 @@ from .assembly import GRIPPER_CONTYPE
 from .hand import Posture
 from .world import GRIPPER, World
 
+START_DEPTH = 0.001
+"""Deepest penetration (m) of the open gripper that still counts as free."""
+
 
 def start_depths(
     world: World, world_from_gripper: NDArray[np.float64], *, posture: Posture = "open"
