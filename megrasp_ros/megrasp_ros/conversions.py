@@ -232,7 +232,7 @@ def matrices_from_poses(
         rows[i] = p.x, p.y, p.z, q.x, q.y, q.z, q.w
     length = np.linalg.norm(rows[:, 3:], axis=1)
     with np.errstate(invalid="ignore"):
-        wrong = ~np.isfinite(rows).all(axis=1) | ~(np.abs(length - 1) <= 0.1)
+        wrong = ~(np.abs(rows) <= FARTHEST).all(axis=1) | ~(np.abs(length - 1) <= 0.1)
     if wrong.any():
         first = int(np.argmax(wrong))
         checked_pose(rows[first], f"{what}[{first}]")

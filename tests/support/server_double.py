@@ -38,6 +38,9 @@ class DoubleSynthesizer:
         self.gripper = None
         self.threads: set[int] = set()
 
+    def model_for(self, gripper) -> SimpleNamespace:
+        return self.model
+
     def set_gripper(self, gripper) -> None:
         self.gripper = gripper
 

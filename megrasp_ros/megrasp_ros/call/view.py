@@ -104,7 +104,7 @@ def view(
             shown; "Read the cloud again" goes on after that.
         num_grasps: most grasps to rank, to begin with.
         drawn: poses drawn, to begin with.
-        model: id or folder; the default model without it.
+        model: id or folder; the default for the kind of the gripper without it.
         device: cpu or cuda.
         threads: torch threads.
         fast: to begin with.

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import concurrent.futures
 import math
+import threading
 import traceback
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -72,7 +73,7 @@ class SimCell(Node):
         self._settings = declare_cell_parameters(self)
         self._cell = make_cell(self._settings)
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="cell")
-        self._executing = False
+        self._executing = threading.Lock()
         self._publishing = False
         self._scene_changed = Time(clock_type=self.get_clock().clock_type)
         self._points = self.create_publisher(PointCloud2, "points", SENSOR)
@@ -125,7 +126,7 @@ class SimCell(Node):
         )
         # A picture taken while the arm is in the bin would show what is no longer there a moment
         # later.
-        if wanted and not (self._publishing or self._executing):
+        if wanted and not (self._publishing or self._executing.locked()):
             self._publishing = True
             self._worker.submit(self._publish_view)
 
@@ -207,13 +208,12 @@ class SimCell(Node):
         return result
 
     def _attempt(self, goal: ExecuteGrasp.Goal, handle: ServerGoalHandle) -> ExecutionResult:
-        if self._executing:
+        if not self._executing.acquire(blocking=False):
             raise BusyError("another grasp is being executed; wait for its result")
-        self._executing = True
         try:
             return self._worker.submit(self._attempt_in_worker, goal, handle).result()
         finally:
-            self._executing = False
+            self._executing.release()
 
     def _attempt_in_worker(
         self, goal: ExecuteGrasp.Goal, handle: ServerGoalHandle

@@ -127,11 +127,11 @@ class Engine:
         raise ShortMemoryError(why, AT_ONCE[-1])
 
     def seen_in_training(self, gripper: Gripper) -> bool:
-        """Return whether the loaded model was trained with this description."""
+        """Return whether the model for this gripper was trained with its description."""
         synthesizer = self._synthesizer
         if synthesizer is None:
             return False
-        return gripper.hash in synthesizer.model.info.trained_grippers.values()
+        return gripper.hash in synthesizer.model_for(gripper).info.trained_grippers.values()
 
 
 def best_of(

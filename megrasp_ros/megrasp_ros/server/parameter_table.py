@@ -179,11 +179,11 @@ TABLE: dict[str, Spec] = {
         0.0,
         1.0,
     ),
-    "model": Spec("", "model id or folder; empty: the default model"),
+    "model": Spec("", "model id or folder; empty: the default for the kind of the gripper"),
     "device": Spec(
         "auto", "auto | cpu | cuda | cuda:N; auto takes a GPU if there is one", check=_device
     ),
-    "threads": Spec(0, "CPU threads of the sampling; 0: torch's choice", 0, 256),
+    "threads": Spec(0, "CPU threads of the decoder; 0: torch's choice", 0, 256),
     "input": Spec(
         "points",
         "where clouds come from: points, the topic of that name; depth: the topics depth (16UC1 "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Awaitable, Callable
 from typing import Any
@@ -158,7 +159,7 @@ class SynthesisServices:
         handle.request.cloud = PointCloud2()
         handle.request.exclude = []
         await wake_when(self._results.enter, self._node)
-        self._finish(handle, outcome)
+        await self._finish(handle, outcome)
         return outcome.fill(result)
 
     def _on_cancel(self, handle: ServerGoalHandle) -> CancelResponse:
@@ -190,8 +191,7 @@ class SynthesisServices:
         note(job)
         return self._worker.submit(job, preempt=preempt)
 
-    @staticmethod
-    def _finish(handle: ServerGoalHandle, outcome: Outcome) -> None:
+    async def _finish(self, handle: ServerGoalHandle, outcome: Outcome) -> None:
         """Bring a goal into its last state."""
         if outcome.error_code == ErrorCode.NONE:
             handle.succeed()
@@ -200,7 +200,7 @@ class SynthesisServices:
             # The client's wish arrives here before rclpy has noted it.
             end = time.monotonic() + _CANCEL_WAIT
             while not handle.is_cancel_requested and time.monotonic() < end:
-                time.sleep(0.002)
+                await wake_when(lambda wake: threading.Timer(0.01, wake).start(), self._node)
             if handle.is_cancel_requested:
                 handle.canceled()
                 return

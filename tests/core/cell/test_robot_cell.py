@@ -1,5 +1,7 @@
 """The robot cell: known boxes at known places, grasps computed by hand."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -156,6 +158,12 @@ def test_a_grasp_inside_the_box_is_a_start_collision(cell):
     assert result.depth > 0.001
     assert np.isnan(result.width)
     assert cell.objects_left == 2
+    # A ranked grasp starts at its own opening, here short of the box.
+    pose, approach = grasp_from_above(cell, off, 0.030)
+    grasp = SimpleNamespace(
+        world_from_gripper=pose, world_from_gripper_approach=approach, share=0.9
+    )
+    assert cell.execute_grasp(grasp).error != "start_collision"
 
 
 def test_an_approach_through_the_wall_fails(cell):

@@ -30,6 +30,8 @@ def test_the_rates_are_those_of_the_result_files() -> None:
     assert f"<!-- {mark} -->\n{made}<!-- /{mark} -->" in RESULTS.read_text(), (
         "run python -m megrasp_core.cli.results_page docs/results.md"
     )
+    causes = results_page.causes(RESULTS)
+    assert f"<!-- causes -->\n{causes}<!-- /causes -->" in RESULTS.read_text()
     assert "[robotiq_2f85](../models/megrasp-small/evaluation/binpick_robotiq_2f85.json)" in made
     assert "357/561 = 63.6 % [59.6, 67.5]" in made
 

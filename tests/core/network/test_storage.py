@@ -13,7 +13,14 @@ from network_scenes import scene, tokens
 from megrasp_core.diffusion import SamplerSettings
 from megrasp_core.errors import ModelError
 from megrasp_core.lie import PoseBatch
-from megrasp_core.network import PRESETS, GraspModel, load_model, save_model
+from megrasp_core.network import (
+    PRESETS,
+    DefaultModels,
+    GraspModel,
+    default_model,
+    load_model,
+    save_model,
+)
 from megrasp_core.pointcloud import SceneSettings
 from megrasp_core.ranking import Calibration
 
@@ -156,9 +163,16 @@ def test_config_of_another_kind(folder, content):
         load_model(folder)
 
 
-def test_the_default_model_says_what_it_was_trained_with():
-    info = load_model().info
-    assert "robotiq_2f85" in info.trained_grippers
+@pytest.mark.parametrize(
+    ("kind", "gripper"),
+    [(None, "robotiq_2f85"), ("parallel", "franka_hand"), ("hand", "allegro_hand")],
+)
+def test_the_default_models_say_what_they_were_trained_with(kind, gripper):
+    models = DefaultModels()
+    info = models.of(kind).info
+    assert info.model_id == default_model(kind)
+    assert models.of(kind) is models.of(kind)
+    assert gripper in info.trained_grippers
     assert set(info.heads) == {"confidence", "graspability"}
     assert info.calibration is not None
 

@@ -119,6 +119,25 @@ def test_the_top_of_a_flat_object_is_no_table() -> None:
     assert not len(unseen_structure(seen(around)).points)
 
 
+def test_the_tops_of_flat_objects_are_no_table() -> None:
+    tops = [top(x, y, 0.02) for x in (-0.1, 0.1) for y in (-0.1, 0.1)]
+    # What is higher lies between them, as if it stood on them.
+    surface = seen(np.concatenate([*tops, top(0.0, 0.0, 0.06)]))
+    assert surface.on_plane.any(), "the plane of the tops is what this is about"
+    assert "taken from the lowest points" in unseen_structure(surface).note
+
+
+def test_the_top_of_one_flat_object_with_its_side_is_no_table() -> None:
+    edge = np.arange(-0.03, 0.03, 0.002)
+    side = np.array([(x, 0.06, z) for x in edge for z in np.arange(0.008, 0.025, 0.002)])
+    surface = seen(np.concatenate([top(0.0, 0.0, 0.025, edge=0.12), side]))
+    assert surface.on_plane.any(), "the plane of the top is what this is about"
+    found = unseen_structure(surface)
+    assert "taken from the lowest points" in found.note
+    assert found.floor is not None
+    assert abs(found.floor.offset - 0.008) < 0.004
+
+
 def test_several_sensors_see_more_of_the_floor() -> None:
     box = np.concatenate([top(0.0, 0.0, 0.1, edge=0.1), top(0.0, 0.15, 0.04, edge=0.05)])
     left, right = np.array([-0.5, 0.0, 0.6]), np.array([0.5, 0.0, 0.6])

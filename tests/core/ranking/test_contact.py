@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from megrasp_core.grippers import list_grippers, load_gripper
 from megrasp_core.ranking import DistanceField, contact_surface, gripper_probe, measure_contacts
@@ -116,8 +117,13 @@ def test_the_distance_field_agrees_with_exact_distances():
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     radius = rng.uniform(0.032, 0.048, 200)
     for unit, r in zip(direction, radius):
-        point = (unit * r).astype(np.float32)[:, None]
-        assert field.least([point])[0] == pytest.approx(r - 0.03, abs=0.0012)
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.random(random_state=rng).as_matrix()
+        pose[:3, 3] = rng.normal(size=3)
+        point = (pose[:3, :3] @ (unit * r) + pose[:3, 3]).astype(np.float32)[:, None]
+        assert field.least(point, pose[None])[0] == pytest.approx(r - 0.03, abs=0.0012)
     far = np.array([[0.3], [0.0], [0.0]], dtype=np.float32)
     nothing = np.zeros((3, 0), dtype=np.float32)
-    assert (field.least([far, nothing]) == field.limit).all() and len(field.least([])) == 0
+    here = np.eye(4)[None]
+    assert field.least(far, here) == field.least(nothing, here) == field.limit
+    assert len(field.least(far, here[:0])) == 0

@@ -18,7 +18,8 @@ from megrasp_core.errors import (
     ModelError,
     UnknownGripperError,
 )
-from megrasp_core.network import PRESETS, GraspModel, save_model
+from megrasp_core.grippers import load_gripper
+from megrasp_core.network import PRESETS, GraspModel, default_model, save_model
 from megrasp_core.pointcloud import Cloud, OrientedBox
 from megrasp_core.synthesizer import (
     GraspSynthesizer,
@@ -268,7 +269,7 @@ def test_json_is_as_fixed(synthesizer, tmp_path):
 
 
 @pytest.mark.parametrize("threads", [7, None])
-def test_threads_are_for_the_sampling_and_restored(threads, model, monkeypatch):
+def test_threads_are_for_the_decoder_and_restored(threads, model, monkeypatch):
     synthesizer = GraspSynthesizer(model, "robotiq_2f85", threads=threads)
     before = torch.get_num_threads()
     calls = []
@@ -276,13 +277,20 @@ def test_threads_are_for_the_sampling_and_restored(threads, model, monkeypatch):
     monkeypatch.setattr(torch, "set_num_threads", calls.append)
     run(synthesizer, on_step=lambda phase, *_: calls.append(phase))
     assert calls[:3] == [1, "perceive", "encode"] and calls[-2:] == ["rank", before]
-    sampling = calls[3:-2]
-    while sampling:
-        # The descent, and then the restarts.
-        assert sampling[0] == (threads or before)
-        end = sampling.index(before, 1)
-        assert set(sampling[1:end]) == {"sample"}
-        del sampling[: end + 1]
+    decoding = calls[3:-2]
+    assert decoding[0] == (threads or before) and decoding[-1] == before
+    assert set(decoding) == {threads or before, before, "sample"}
+
+
+def test_each_kind_of_gripper_has_its_default_model():
+    synthesizer = GraspSynthesizer.load(gripper="robotiq_2f85")
+    hand = synthesizer.model_for(load_gripper("shadow_hand_3f"))
+    assert hand is not synthesizer.model
+    assert run(synthesizer).model == synthesizer.model.model_id == default_model("adaptive")
+    synthesizer.set_gripper("shadow_hand_3f")
+    assert run(synthesizer).model == hand.model_id == default_model("hand")
+    one = GraspSynthesizer.load("megrasp-small", "shadow_hand_3f")
+    assert one.model.model_id == "megrasp-small"
 
 
 def test_no_threads_are_refused(model):

@@ -35,11 +35,13 @@ def test_excluded_poses_are_read_in_one_go() -> None:
     excluded = request.excluded(lambda: None)
     assert excluded.shape == (3, 4, 4)
     np.testing.assert_array_equal(excluded[:, 0, 3], [0.0, 1.0, 2.0])
-    wrong = poses(3)
-    wrong[1].orientation.w = 0.0
-    request = checked_request(SynthesizeGrasps.Request(exclude=wrong), SETTINGS)
-    with pytest.raises(InvalidRequestError, match=r"exclude\[1\] is .*unit quaternion"):
-        request.excluded(lambda: None)
+    for attribute in ("orientation.w", "position.y"):
+        wrong = poses(3)
+        part, name = attribute.split(".")
+        setattr(getattr(wrong[1], part), name, 0.0 if name == "w" else 1e300)
+        request = checked_request(SynthesizeGrasps.Request(exclude=wrong), SETTINGS)
+        with pytest.raises(InvalidRequestError, match=r"exclude\[1\] is .*unit quaternion"):
+            request.excluded(lambda: None)
 
 
 def test_reading_many_poses_ends_with_the_time_of_the_request() -> None:

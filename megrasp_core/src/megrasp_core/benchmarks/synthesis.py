@@ -93,7 +93,7 @@ def bench_synthesis(
                 },
             }
         )
-    gripper = synthesizer.gripper
+    gripper, threads = synthesizer.gripper, synthesizer.threads
     return {
         "stage": "synthesis",
         "model": synthesizer.model.model_id,
@@ -103,5 +103,5 @@ def bench_synthesis(
         "repeats": repeats,
         "rows": rows,
         "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
-        "hardware": hardware(),
+        "hardware": hardware() | ({"threads": threads} if threads else {}),
     }

@@ -149,7 +149,7 @@ def _attempt(
         )
     grasp = synthesis.grasps[chosen]
     begun = time.monotonic()
-    result = cell.execute(grasp.world_from_gripper, grasp.world_from_gripper_approach, grasp.share)
+    result = cell.execute_grasp(grasp)
     return PickRecord(
         success=result.success,
         reason=result.error,

@@ -34,6 +34,7 @@ from megrasp_core.simulation import (
     depth_to_points,
     render_view,
 )
+from megrasp_core.synthesizer import RankedGrasp
 
 from .inputs import checked_pose, unique_names
 from .pick_cycle import PickCycle
@@ -263,6 +264,12 @@ class RobotCell:
             error="" if verdict.success else verdict.reason.value,
             depth=float(verdict.depth),
             width=self._width(cycle.joints),
+        )
+
+    def execute_grasp(self, grasp: RankedGrasp) -> ExecutionResult:
+        """The grasp as it was checked: from its stand-off, at its opening; see `execute`."""
+        return self.execute(
+            grasp.world_from_gripper, grasp.world_from_gripper_approach, grasp.share
         )
 
     def _width(self, joints: dict[str, float]) -> float:

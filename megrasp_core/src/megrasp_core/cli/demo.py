@@ -29,7 +29,7 @@ def demo(
         gripper: names or folders, used in this order for equal shares of the objects.
         objects: procedural objects in the bin.
         picture: PNG with all picks; one picture per pick goes into a folder beside it.
-        model: id or folder; the default model without it.
+        model: id or folder; the default for the kind of the gripper without it.
         device: cpu or cuda.
         threads: torch threads; as the process has them without it.
         seed: of the objects and the samples.

@@ -51,7 +51,8 @@ def finetune(
         gripper: name, or folder of a gripper.yaml.
         grasps: JSON file of grasps that hold, the best of them in a scene of its own each.
         out: folder of the new model.
-        model: id or folder of the model to begin with.
+        model: id or folder of the model to begin with; the default for the kind of the gripper
+            without it.
         model_id: by default the parent's and the gripper's.
         steps: take so many, whatever the grasps left out say; needed with less than three grasps.
         settings: further settings, by the names of `FinetuneConfig`.
@@ -62,7 +63,7 @@ def finetune(
     import torch
 
     from megrasp_core.grippers import load_gripper
-    from megrasp_core.network import load_model, save_model
+    from megrasp_core.network import default_model, load_model, save_model
     from megrasp_core.network.storage import CONFIG
     from megrasp_core.training import FEW, FinetuneConfig, doubt, given_scene
     from megrasp_core.training import finetune as learn
@@ -72,7 +73,8 @@ def finetune(
         raise InvalidRequestError(f"{out} holds a model already; expected another --out.")
     torch.set_num_threads(1)
     config = changed(FinetuneConfig(seed=seed), settings, "--set")
-    loaded, parent = load_gripper(gripper), load_model(model, device=device)
+    loaded = load_gripper(gripper)
+    parent = load_model(model or default_model(loaded.description.kind), device=device)
     given = read_grasps(grasps)
     if len(given) < FEW:
         LOGGER.warning(

@@ -1,7 +1,8 @@
-"""The rates in docs/results.md: `python -m megrasp_core.cli.results_page docs/results.md`.
+"""The rates and causes in docs/results.md, and pictures of how far scores are to be trusted:
+`python -m megrasp_core.cli.results_page docs/results.md`.
 
 Rows come from every result file of `megrasp eval` in the `evaluation` folders of the models and in
-docs/results.
+docs/results; `reliability.png` is drawn beside every calibration.json of a model.
 """
 
 from __future__ import annotations
@@ -13,11 +14,18 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from megrasp_core.drawing.reliability_picture import save_reliability_picture
+from megrasp_core.evaluation.statistics import wilson
+
 from .common import block_writer
 
 MARK = "results"
+CAUSES_MARK = "causes"
 HEADS = ("gripper", "model", "friction", "scenes", "first", "first_all", "filtered", "kept",
          "unfiltered", "cleared", "cleared_of_all", "drawn, returned, evaluations")  # fmt: skip
+CAUSES = ("slipped", "no_contact", "not_lifted", "start_collision", "approach_collision",
+          "obstacle", "bin", "no_answer")  # fmt: skip
+CALIBRATIONS = "models/*/evaluation/calibration.json"
 PLACES = ("models/*/evaluation/*.json", "docs/results/*.json")
 
 
@@ -32,6 +40,37 @@ def tables(page: Path) -> str:
         heads = [f"| {' | '.join(HEADS)} |", "| --- " * len(HEADS) + "|"]
         text += [f"### {protocol}", "", *heads, *rows, ""]
     return "\n".join(text)
+
+
+def causes(page: Path) -> str:
+    """One table of what became of the best ranked grasps, for a page in docs/ of a checkout."""
+    heads = ("gripper", "model", "protocol", "trials", *(c.replace("_", " ") for c in CAUSES))
+    lines = [f"| {' | '.join(heads)} |", "| --- " * len(heads) + "|"]
+    for file, content in _results(page.resolve().parents[1]):
+        reasons = dict(content["reasons"])
+        trials, held = sum(reasons.values()), reasons.pop("success", 0)
+        if set(reasons) - set(CAUSES):
+            raise KeyError(f"{file} has {sorted(reasons)}; expected causes among {CAUSES}")
+        cells = [
+            f"[{content['gripper']}]({os.path.relpath(file, page.resolve().parent)})",
+            content["model"],
+            content["protocol"],
+            f"{held}/{trials}",
+            *(str(reasons.get(cause, "")) for cause in CAUSES),
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def draw_reliability(root: Path) -> None:
+    """Draw `reliability.png` beside the reports of `megrasp calibrate` in a checkout."""
+    for file in sorted(root.glob(CALIBRATIONS)):
+        report = json.loads(file.read_text())
+        for part in (report, *report.get("kinds", {}).values()):
+            for row in part["reliability"]:
+                held = round(row["observed"] * row["count"])
+                row["ci95"] = wilson(held, row["count"]).ci95
+        save_reliability_picture(report, file.with_name("reliability.png"))
 
 
 def _results(root: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
@@ -83,3 +122,5 @@ def _share(share: float | None) -> str:
 if __name__ == "__main__":
     goal = Path(sys.argv[1])
     block_writer(goal, MARK)(tables(goal))
+    block_writer(goal, CAUSES_MARK)(causes(goal))
+    draw_reliability(goal.resolve().parents[1])

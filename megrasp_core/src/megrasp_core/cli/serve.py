@@ -38,7 +38,7 @@ def serve(
         port: to listen on; 0 takes a free one.
         host: address to listen on.
         token: that clients have to bring.
-        model: id or folder; the default model without it.
+        model: id or folder; the default for the kind of the gripper without it.
         device: cpu or cuda.
         threads: torch threads; as the process has them without it.
     """

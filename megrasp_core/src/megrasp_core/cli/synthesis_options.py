@@ -64,7 +64,7 @@ class SynthesisOptions:
         max_tilt: largest angle between gripper +Z and gravity (rad).
         approach_distance: from approach pose to pre-grasp (m).
         approach_direction: tool: along gripper Z; gravity: straight down.
-        model: id or folder; the default model without it.
+        model: id or folder; the default for the kind of the gripper without it.
         device: cpu or cuda.
         threads: torch threads; as the process has them without it.
         fast: draw only as many poses as are returned.

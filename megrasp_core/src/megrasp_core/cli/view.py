@@ -74,7 +74,7 @@ def view(
         follow: read the file again whenever it is written; replace it in one go (write, then
             rename), as nobody waits for half a file.
         objects: of the simulated bin.
-        model: id or folder; the default model without it.
+        model: id or folder; the default for the kind of the gripper without it.
         device: cpu or cuda.
         threads: torch threads.
         fast: to begin with.
@@ -176,7 +176,7 @@ def _simulated(
 
     def execute(grasp: RankedGrasp, gripper: str) -> Outcome:
         cell.change_tool(gripper)
-        done = cell.execute(grasp.world_from_gripper, grasp.world_from_gripper_approach)
+        done = cell.execute_grasp(grasp)
         took = ", ".join(done.removed) or "nothing"
         told = f"it holds: took {took}" if done.success else f"it fails: {done.error}"
         return Outcome(f"{told}; {done.objects_left} objects left")

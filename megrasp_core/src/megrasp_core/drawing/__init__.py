@@ -5,6 +5,7 @@
 - `object_picture`: objects with their convex pieces.
 - `gripper_picture`: postures of one gripper; `frame_picture`, with `frame_raster` and
   `closing_motion`: its frames and what closing sweeps; `frame_page`: their table.
-- `data_charts`, `library_pictures`, `training_curves`: data sets, libraries, training.
+- `data_charts`, `library_pictures`, `training_curves`, `reliability_picture`: data sets,
+  libraries, training, scores.
 - `contact_sheet`: many pictures in one.
 """

@@ -21,7 +21,9 @@ from .precision import low_precision_pays
 
 WEIGHTS = "model.safetensors"
 CONFIG = "config.json"
-DEFAULT_MODEL = "megrasp-small"
+FOR_ANY = "megrasp-small"
+FOR_KIND = {"hand": "megrasp-base"}
+"""Kind of gripper -> the default model where that for any gripper is not the best."""
 
 
 def model_folders() -> list[Path]:
@@ -43,13 +45,23 @@ def list_models() -> list[str]:
     return sorted(names)
 
 
+def default_model(kind: str | None = None) -> str:
+    """Id of the model that is taken where none is asked for.
+
+    Args:
+        kind: of the gripper: parallel, adaptive or hand; None: of any.
+    """
+    return FOR_ANY if kind is None else FOR_KIND.get(kind, FOR_ANY)
+
+
 def find_model(model: str | Path | None) -> Path:
-    """Folder of a model given by its id or folder; `None` is the default model.
+    """Folder of a model given by its id or folder; `None` is the default model for any
+    gripper.
 
     Raises:
         ModelError: no such model; the message lists those that exist.
     """
-    name = str(model or DEFAULT_MODEL)
+    name = str(model or default_model())
     candidates = [Path(name)] if "/" in name or Path(name).is_dir() else []
     candidates += [folder / name for folder in model_folders()]
     for folder in candidates:

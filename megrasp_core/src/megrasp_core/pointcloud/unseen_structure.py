@@ -9,6 +9,7 @@ an object stays unknown.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,18 @@ BoolArray = NDArray[np.bool_]
 
 STEP = (0.001, 0.004)
 """Least and largest distance (m) between the points that are put in."""
+COARSE = 0.005
+"""Distance (m) of the places that a support is looked for at."""
+HOLES = 0.15
+"""A support shows no readings in at most this share of what is in view of it."""
+MARGIN = 0.008
+"""What is nearer to a support (m) may be part of it."""
+HIGHEST = 0.15
+"""An object's top may be so high (m) over what it stands on, and be taken for a support."""
+STRAY = 0.02
+"""Share of the points that may lie below a support: sides of what is on it lie above."""
+SMALLEST = 0.01
+"""Area (m2) of the smallest support."""
 MOST = 1_000_000
 """Points that are put in on a floor or a wall; on larger ones they lie further apart."""
 BEYOND = 0.10
@@ -175,26 +188,48 @@ def _shows_support(surface: SurfaceCloud) -> bool:
     gravity = surface.gravity
     assert gravity is not None
     if surface.on_plane.any():
-        return _carries(surface, surface.on_plane, gravity)
+        height = float(np.median(surface.points[surface.on_plane] @ -gravity))
+        return _carries(surface, surface.on_plane, Plane(-gravity, height))
     tilted = support_plane(surface.points, None, normals=surface.normals, sensor=surface.sensor)
     if tilted is None or tilted.normal @ -gravity < np.cos(MOST_TILTED):
         return False
     on_plane = np.abs(tilted.height(surface.points)) < PlaneSettings().band
-    return bool(on_plane.mean() > MOSTLY) and _carries(surface, on_plane, tilted.normal)
+    return bool(on_plane.mean() > MOSTLY) and _carries(surface, on_plane, tilted)
 
 
-def _carries(surface: SurfaceCloud, on_plane: BoolArray, normal: FloatArray) -> bool:
-    """Whether the rest lies on the plane; the level top of a flat object among others carries
-    none: they stand beside it.
+def _carries(surface: SurfaceCloud, on_plane: BoolArray, plane: Plane) -> bool:
+    """Whether the rest lies on the plane, and it is seen between what lies there.
+
+    The level top of a flat object carries nothing: its sides are below it, others stand beside
+    it. The tops of several carry none either: past them nothing is seen at that height.
     """
-    flat = surface.points @ _axes(normal).T
-    plane, rest = flat[on_plane], flat[~on_plane]
+    height = plane.height(surface.points)
+    if ((height < -MARGIN) & (height > -HIGHEST)).mean() > STRAY:
+        return False
+    axes = _axes(plane.normal)
+    flat = surface.points @ axes.T
+    rest = flat[~on_plane]
     try:
-        sides = ConvexHull(plane).equations
+        hull = ConvexHull(flat[on_plane])
     except QhullError:
         return False
-    beside = (rest @ sides[:, :2].T + sides[:, 2]).max(axis=1, initial=-np.inf) > 0.0
-    return not len(rest) or bool(beside.mean() < MOSTLY)
+    if hull.volume < SMALLEST:  # in two dimensions the area
+        return False
+    sides = hull.equations
+
+    def beside(points: FloatArray) -> BoolArray:
+        return (points @ sides[:, :2].T + sides[:, 2]).max(axis=1, initial=-np.inf) > 0.0
+
+    if len(rest) and beside(rest).mean() >= MOSTLY:
+        return False
+    between = _grid(plane, _footprint(surface, plane), COARSE)
+    between = between[~beside(between @ axes.T)]
+    looks = [view.image.lookup(between) for view in surface.views]
+    seen = np.logical_or.reduce(
+        [np.isfinite(front) & (front >= depth - TOLERANCE) for depth, front, _ in looks]
+    )
+    empty = np.logical_or.reduce([~np.isfinite(front) for _, front, _ in looks]) & ~seen
+    return bool(empty.sum() <= HOLES * (empty.sum() + seen.sum()))
 
 
 def _bottom(surface: SurfaceCloud) -> Plane:
@@ -274,9 +309,12 @@ class _ViewOfNothing:
 
     def __init__(self, surface: SurfaceCloud, view: View) -> None:
         self.sensor, self.region = view.sensor, surface.region
-        self.image = DepthImage(view.points, view.sensor)
+        self.image = view.image
         self._pad = round((NOTCH + RIM) / self.image.pixel_size) + 2
-        self._open = _open_patches(self.image, self._pad)
+
+    @cached_property
+    def _open(self) -> BoolArray:
+        return _open_patches(self.image, self._pad)
 
     def empty(
         self, points: FloatArray, bin_floor: Plane | None, *, all_gaps: bool = True

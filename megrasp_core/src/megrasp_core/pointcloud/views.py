@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .depth_image import DepthImage
 
 FloatArray = NDArray[np.float64]
 
@@ -20,6 +23,15 @@ class View:
 
     points: FloatArray
     sensor: FloatArray
+
+    @cached_property
+    def image(self) -> DepthImage:
+        """The points as the sensor saw them, by the settings that a depth image has of itself.
+
+        Raises:
+            CloudError, SensorPlaceError: see `DepthImage`.
+        """
+        return DepthImage(self.points, self.sensor)
 
 
 def by_sensor(points: FloatArray, sensor: FloatArray) -> tuple[View, ...]:

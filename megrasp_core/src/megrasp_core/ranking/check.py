@@ -11,7 +11,6 @@ import numpy as np
 
 from megrasp_core.ranges import COUNT, FROM_ONE, LENGTH, SHARE, check_ranges
 
-from .boxes import inside_bounds, posed_box_bounds
 from .observation import PointState, SceneObservation
 from .probe import GripperProbe, gripper_probe
 
@@ -250,15 +249,7 @@ def _clearance(
     """Distance (n,) of the gripper at poses (n, 4, 4), points (n, M, 3), to what was seen, walls
     and floor.
     """
-    field = probe.field
-    scene = observation.surface_points.T
-
-    def seen_from(pose: np.ndarray) -> np.ndarray:
-        rotation, origin = pose[:3, :3].astype(np.float32), pose[:3, 3].astype(np.float32)
-        near = inside_bounds(scene, *posed_box_bounds(pose, field.low, field.high))
-        return rotation.T @ (scene[:, near] - origin[:, None])
-
-    result = field.least(seen_from(pose) for pose in poses)
+    result = probe.field.least(observation.surface_points.T, poses)
     structure = observation.structure_distance(points.reshape(-1, 3))
     nearest = structure.reshape(points.shape[:2]).min(axis=1, initial=np.inf)
     return np.minimum(result, nearest).astype(np.float32)

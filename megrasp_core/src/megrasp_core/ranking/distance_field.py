@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import KDTree
+
+from .boxes import inside_bounds, posed_box_bounds
 
 __all__ = ["DistanceField"]
 
@@ -52,15 +53,17 @@ class DistanceField:
         """(3,) float32, the corner of the grid opposite to `low` (m)."""
         return self.low + np.float32(self.spacing) * np.array(self.values.shape, np.float32)
 
-    def least(self, clouds: Iterable[np.ndarray]) -> np.ndarray:
-        """Least distance (n,) of each of n clouds, `limit` where none of it is in the grid (m).
+    def least(self, points: np.ndarray, poses: np.ndarray) -> np.ndarray:
+        """Least distance (n,) of points to the surface at each of n poses, `limit` where none of
+        them is in the grid (m).
 
         All points are looked up at their nearest grid point, the best ones again in between.
 
         Args:
-            clouds: points (3, P) float32 in the gripper frame (m), of any number P each.
+            points: (3, P) float32, in the outer frame (m).
+            poses: (n, 4, 4) outer_from_gripper.
         """
-        best = [self._best(points) for points in clouds]
+        best = [self._best(points, pose) for pose in poses]
         counts = np.array([at.shape[1] for at in best], dtype=np.intp)
         result = np.full(len(best), self.limit, dtype=np.float32)
         some = counts > 0
@@ -70,17 +73,20 @@ class DistanceField:
             result[some] = np.minimum.reduceat(between, begins)
         return result
 
-    def _best(self, points: np.ndarray) -> np.ndarray:
+    def _best(self, points: np.ndarray, pose: np.ndarray) -> np.ndarray:
         """Grid coordinates (3, at most `BEST`) of the points (3, P) that may be nearest."""
-        at = (points - self.low[:, None]) * np.float32(1.0 / self.spacing)
+        near = inside_bounds(points, *posed_box_bounds(pose, self.low, self.high))
+        grid_from_outer = (pose[:3, :3].T / self.spacing).astype(np.float32)
+        origin = (pose[:3, :3].T @ pose[:3, 3] + self.low) / self.spacing
+        at = grid_from_outer @ points[:, near] - origin.astype(np.float32)[:, None]
         nx, ny, nz = self.values.shape
         x, y, z = at
         inside = (x >= 0) & (x < nx - 1) & (y >= 0) & (y < ny - 1) & (z >= 0) & (z < nz - 1)
         at = at[:, inside]
         if at.shape[1] <= BEST:
             return at
-        near = (at + np.float32(0.5)).astype(np.int32)
-        rough = self.values.ravel()[(near[0] * ny + near[1]) * nz + near[2]]
+        corner = (at + np.float32(0.5)).astype(np.int32)
+        rough = self.values.ravel()[(corner[0] * ny + corner[1]) * nz + corner[2]]
         return at[:, np.argpartition(rough, BEST)[:BEST]]
 
     def _between(self, at: np.ndarray) -> np.ndarray:

@@ -109,7 +109,9 @@ class SceneObservation:
         self.points = np.asarray(points)
         self.sensor = np.asarray(sensor, dtype=np.float64).reshape(3)
         self.images = [
-            DepthImage(view.points, view.sensor, self.settings.image)
+            view.image
+            if self.settings.image == DepthImageSettings()
+            else DepthImage(view.points, view.sensor, self.settings.image)
             for view in views or (View(self.points, self.sensor),)
         ]
         if surface_points is None:

@@ -17,15 +17,17 @@ from .parts import in_parts
 from .perception import Perceived
 from .poses import pose_set, scene_from_tcp, world_from_tcp
 from .scene_judge import Assessment
+from .torch_threads import torch_threads
 
 __all__ = ["Assessor", "MountedGripper"]
 
 
 @dataclass(frozen=True)
 class MountedGripper:
-    """A gripper as the model and the check see it."""
+    """A gripper as the model and the check see it, and the model that plans for it."""
 
     gripper: Gripper
+    model: GraspModel
     code: GripperCode
     probe: GripperProbe
 
@@ -40,11 +42,12 @@ class Assessor:
         seen: Perceived,
         field: SceneField,
         at_once: int | None = None,
+        threads: int = 1,
     ) -> None:
-        """Take a scene; `at_once`: see `GraspSynthesizer.synthesize`."""
+        """Take a scene; `at_once`: see `GraspSynthesizer.synthesize`; `threads`: of the model."""
         self._model, self._mounted = model, mounted
         self._seen, self._field = seen, field
-        self._at_once = at_once
+        self._at_once, self._threads = at_once, threads
         self.confident = "confidence" in model.info.heads
         """Whether the model has a confidence."""
 
@@ -79,11 +82,14 @@ class Assessor:
         mounted, judge = self._mounted, self._seen.judge
         confidence = None
         if self.confident:
-            logit = in_parts(
-                lambda rows: self._model.confidence(self._field, mounted.code, poses.part(rows)),
-                len(poses),
-                self._at_once,
-            )
+            with torch_threads(self._threads):
+                logit = in_parts(
+                    lambda rows: self._model.confidence(
+                        self._field, mounted.code, poses.part(rows)
+                    ),
+                    len(poses),
+                    self._at_once,
+                )
             confidence = logit.sigmoid().cpu().double().numpy()
         return judge.assess(
             pose_set(tcp, mounted.gripper, judge.request),

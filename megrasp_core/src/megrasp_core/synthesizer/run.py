@@ -109,7 +109,7 @@ class SynthesisRun:
         with self._phase("encode"):
             field = self.model.encode_scene(seen.nodes)
         self.centroid = seen.nodes.centroid
-        assessor = Assessor(self.model, self.mounted, seen, field, self.at_once)
+        assessor = Assessor(self.model, self.mounted, seen, field, self.at_once, self.threads)
         allowed = self._at_target(seen, field)
         left_out: tuple[Assessment, np.ndarray] | None = None
         with self._phase("sample"):

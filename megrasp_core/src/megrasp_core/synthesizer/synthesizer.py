@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from megrasp_core.diffusion import NoiseSchedule
+from megrasp_core.diffusion import NoiseSchedule, SamplerSettings
 from megrasp_core.errors import InvalidRequestError
 from megrasp_core.grippers import Gripper, load_gripper
-from megrasp_core.network import GraspModel, load_model
-from megrasp_core.pointcloud import Cloud, check_view
+from megrasp_core.network import DefaultModels, GraspModel, load_model
+from megrasp_core.pointcloud import Cloud, SceneSettings, check_view
 from megrasp_core.ranking import GripperProbe, gripper_probe
 
 from .assessor import Assessor, MountedGripper
@@ -51,7 +51,7 @@ class GraspSynthesizer:
 
     def __init__(
         self,
-        model: GraspModel,
+        model: GraspModel | DefaultModels,
         gripper: Gripper | str | Path | None = None,
         *,
         settings: SynthesizerSettings | None = None,
@@ -60,10 +60,11 @@ class GraspSynthesizer:
         """Take a loaded model.
 
         Args:
-            model: on its device, in evaluation mode.
+            model: on its device, in evaluation mode; or the default models, of which that for the
+                kind of the gripper is used.
             gripper: name, folder or loaded gripper; may be set later.
             settings: see `SynthesizerSettings`.
-            threads: torch threads of the sampling; None: as many as torch has been told.
+            threads: torch threads of the decoder; None: as many as torch has been told.
 
         Raises:
             UnknownGripperError, DescriptionError, InvalidRequestError.
@@ -72,12 +73,9 @@ class GraspSynthesizer:
             raise InvalidRequestError(
                 f"threads {threads} was given; expected at least 1, or none."
             )
-        self.model = model
+        self._model = model
         self.settings = settings or SynthesizerSettings()
-        self.sampler = self.settings.sampler or model.info.sampler
         self.threads = threads
-        self.schedule = NoiseSchedule.of(model.config)
-        self.scene_settings = self.settings.scene or model.info.scene
         self._encoded: dict[str, MountedGripper] = {}
         self._mounted: MountedGripper | None = None
         if gripper is not None:
@@ -92,18 +90,45 @@ class GraspSynthesizer:
         threads: int | None = None,
         settings: SynthesizerSettings | None = None,
     ) -> GraspSynthesizer:
-        """Load a model by id or folder (None: the default model) and set a gripper.
+        """Load a model by id or folder (None: the default for the kind of the gripper) and set a
+        gripper.
 
         Raises:
             ModelError: the model is missing or damaged.
             UnknownGripperError, DescriptionError: about the gripper.
         """
-        return cls(load_model(model, device=device), gripper, settings=settings, threads=threads)
+        loaded = DefaultModels(device) if model is None else load_model(model, device=device)
+        return cls(loaded, gripper, settings=settings, threads=threads)
 
     @property
     def gripper(self) -> Gripper | None:
         """The gripper that grasps are made for."""
         return self._mounted.gripper if self._mounted else None
+
+    @property
+    def model(self) -> GraspModel:
+        """The model that grasps are made with."""
+        return self._mounted.model if self._mounted else self.model_for(None)
+
+    def model_for(self, gripper: Gripper | None) -> GraspModel:
+        """The model that makes grasps for a gripper, or for any (None).
+
+        Raises:
+            ModelError: a default model is missing or damaged.
+        """
+        if isinstance(self._model, DefaultModels):
+            return self._model.of(gripper.description.kind if gripper else None)
+        return self._model
+
+    @property
+    def sampler(self) -> SamplerSettings:
+        """The one of the settings, or the model's."""
+        return self.settings.sampler or self.model.info.sampler
+
+    @property
+    def scene_settings(self) -> SceneSettings:
+        """Those of the settings, or the model's."""
+        return self.settings.scene or self.model.info.scene
 
     @property
     def probe(self) -> GripperProbe | None:
@@ -118,16 +143,19 @@ class GraspSynthesizer:
 
         Raises:
             UnknownGripperError, DescriptionError: the gripper in use stays.
+            ModelError: the default model for its kind is missing; likewise.
         """
         loaded = gripper if isinstance(gripper, Gripper) else load_gripper(gripper)
         mounted = self._encoded.pop(loaded.hash, None)
         if mounted is None:
-            seed = self.settings.gripper_seed
+            model = self.model_for(loaded)
             with self._running():
-                tokens = loaded.tokens(count=self.model.config.gripper_tokens, seed=seed)
-                code = self.model.encode_gripper(tokens)
+                tokens = loaded.tokens(
+                    count=model.config.gripper_tokens, seed=self.settings.gripper_seed
+                )
+                code = model.encode_gripper(tokens)
             probe = gripper_probe(loaded, self.settings.probe)
-            mounted = MountedGripper(loaded, code, probe)
+            mounted = MountedGripper(loaded, model, code, probe)
         # The one used last is the last; the one unused for longest goes.
         self._encoded[loaded.hash] = self._mounted = mounted
         while len(self._encoded) > KEPT_GRIPPERS:
@@ -192,7 +220,7 @@ class GraspSynthesizer:
                 self.model,
                 self._mounted,
                 request,
-                schedule=self.schedule,
+                schedule=NoiseSchedule.of(self.model.config),
                 sampler=self.sampler,
                 scene_settings=self.scene_settings,
                 settings=_calibrated(self.settings, self.model, self._mounted.gripper),
@@ -234,8 +262,8 @@ class GraspSynthesizer:
 
     @contextmanager
     def _running(self) -> Iterator[None]:
-        """No gradients, and one thread: of all phases only the sampling gains by more, and
-        threads that wait for work slow the others down.
+        """No gradients, and one thread: only the decoder gains by more, and threads that wait
+        for work slow everything else down.
         """
         with torch_threads(1), torch.inference_mode():
             yield

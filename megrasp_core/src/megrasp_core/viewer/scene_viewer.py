@@ -12,11 +12,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from megrasp_core.drawing.grasp_picture import draw_grasps, rank_colour
-from megrasp_core.drawing.splat import height_colours
 from megrasp_core.errors import InvalidRequestError, MegraspError
 from megrasp_core.explanation import setup_findings
-from megrasp_core.meshes import joined
-from megrasp_core.pointcloud import Cloud, OrientedBox
+from megrasp_core.pointcloud import Cloud
 from megrasp_core.synthesizer import (
     MAX_DRAWN,
     MAX_GRASPS,
@@ -26,29 +24,18 @@ from megrasp_core.synthesizer import (
     SynthesisRequest,
 )
 
-from .figure import GripperFigure, fork
 from .grasp_lists import RANKED, GraspLists, everything, report
 from .known_space import KnownSpace, known_space
-from .poses import move, position_and_wxyz
 from .region_box import RegionBox
+from .scene_drawing import SPACES, SceneDrawing, extent
 
 if TYPE_CHECKING:
     from viser import GuiEvent, ViserServer
 
 __all__ = ["Outcome", "SceneViewer"]
 
-MOST_POINTS = 300_000
-"""Of a cloud, that are sent to the browser."""
-NEARNESS = 1.0
-"""Distance of the first look in extents of the cloud."""
 REJECTED = (190, 60, 60)
-PATHS = {"approach": (70, 110, 200), "retreat": (150, 90, 190)}
-SPACES = {
-    "seen": ("Seen surface", (60, 60, 60)),
-    "unknown": ("Unknown space", (150, 90, 190)),
-    "inside": ("Taken for the inside of objects", (220, 140, 40)),
-    "solid": ("Walls and below the floor", (90, 130, 90)),
-}
+"""Colour of grasps that were not returned."""
 
 
 class Outcome(NamedTuple):
@@ -103,19 +90,19 @@ class SceneViewer:
         # What an answer changes in the panel calls back in the same thread.
         self._lock = threading.RLock()
         self._filling = False
-        self._figure: GripperFigure | None = None
         self.cloud = source()
-        self._draw_cloud()
-        self._first_look()
+        self._drawing = SceneDrawing(server, request.gravity, synthesizer.gripper)
+        self._drawing.cloud(self.cloud)
+        self._drawing.look_at(request.region or extent(self.cloud))
         self._build_panel(list(grippers))
-        self._mount()
         self._show_list()
 
     @property
     def grasp(self) -> RankedGrasp | None:
         """The one that is looked at."""
         chosen = self._chosen()
-        return chosen[int(self.number.value) - 1] if chosen else None
+        # The slider has two places even where there is one grasp.
+        return chosen[min(int(self.number.value), len(chosen)) - 1] if chosen else None
 
     @property
     def asked(self) -> SynthesisRequest:
@@ -161,7 +148,7 @@ class SceneViewer:
                 return
             try:
                 self.cloud, self.space = self._source(), None
-                self._draw_cloud()
+                self._drawing.cloud(self.cloud)
                 self.status.content = self._size()
             except MegraspError as error:
                 self.status.content = f"**{error}**"
@@ -175,7 +162,9 @@ class SceneViewer:
         names = [*grippers, *([] if name in grippers else [name])]
         with gui.add_folder("Synthesis"):
             self.gripper = gui.add_dropdown("Gripper", names, initial_value=name)
-            self.seed = gui.add_number("Seed", int(request.seed or 0), min=0, max=2**31, step=1)
+            self.seed = gui.add_number(
+                "Seed", int(request.seed or 0), min=0, max=2**32 - 1, step=1
+            )
             self.num_grasps = gui.add_number(
                 "Grasps", request.num_grasps, min=1, max=MAX_GRASPS, step=1
             )
@@ -202,7 +191,7 @@ class SceneViewer:
         with gui.add_folder("Region", expand_by_default=False):
             self.region = RegionBox(
                 self.server,
-                request.region or self._extent(),
+                request.region or extent(self.cloud),
                 used=request.region is not None,
                 walls=request.walls,
                 changed=self._forget_space,
@@ -274,13 +263,12 @@ class SceneViewer:
 
     def _refresh(self) -> None:
         self.cloud = self._source()
-        self._draw_cloud()
+        self._drawing.cloud(self.cloud)
         self._forget()
         self.status.content = self._size()
 
     def _change_gripper(self) -> None:
-        self.synthesizer.set_gripper(self.gripper.value)
-        self._mount()
+        self._drawing.mount(self.synthesizer.set_gripper(self.gripper.value))
         self._forget()
         self.status.content = self._size()
 
@@ -301,9 +289,9 @@ class SceneViewer:
     def _forget_space(self) -> None:
         self.space = None
         filling, self._filling = self._filling, True
-        for key, switch in self.spaces.items():
+        for switch in self.spaces.values():
             switch.value = False
-            self._remove(f"/space/{key}")
+        self._drawing.space(None, set())
         self._filling = filling
 
     # --- files -------------------------------------------------------------------------------
@@ -361,64 +349,6 @@ class SceneViewer:
     def _size(self) -> str:
         return f"{len(self.cloud.finite()):,} points"
 
-    def _down(self) -> np.ndarray:
-        if self.request.gravity is not None:
-            return np.asarray(self.request.gravity, dtype=np.float64)
-        return np.array([0.0, 0.0, 1.0])
-
-    def _extent(self) -> OrientedBox:
-        points = self.cloud.finite().points
-        low, high = np.percentile(points, [2, 98], axis=0)
-        return OrientedBox.around((low + high) / 2, np.maximum(high - low, 0.05) + 0.02)
-
-    def _first_look(self) -> None:
-        box, down = self._extent(), self._down()
-        if self.request.region is not None:
-            box = self.request.region
-        self.server.scene.set_up_direction((-down[0], -down[1], -down[2]))
-        # Obliquely from above, from a side that does not depend on the frame's axes.
-        aside = np.eye(3)[np.argmin(np.abs(down))]
-        aside = np.cross(down, np.cross(aside, down))
-        direction = -down + 0.9 * aside / np.linalg.norm(aside)
-        direction /= np.linalg.norm(direction)
-        place = box.centre + NEARNESS * np.linalg.norm(box.size) * direction
-        camera = self.server.initial_camera
-        camera.up = -down
-        camera.position, camera.look_at = place, box.centre
-
-    def _draw_cloud(self) -> None:
-        cloud = self.cloud.finite()
-        if len(cloud) > MOST_POINTS:
-            chosen = np.random.default_rng(0).choice(len(cloud), MOST_POINTS, replace=False)
-            cloud = cloud.select(np.sort(chosen))
-        height = -cloud.points @ self._down()
-        low, high = np.percentile(height, [1, 99]) if len(cloud) else (0.0, 1.0)
-        colours = cloud.colors
-        if colours is None:
-            colours = height_colours((height - low) / max(high - low, 1e-6))
-        self.server.scene.add_point_cloud(
-            "/cloud",
-            cloud.points.astype(np.float32),
-            (255 * np.clip(colours, 0, 1)).astype(np.uint8),
-            point_size=_spacing(cloud.points),
-            point_shape="rounded",
-            point_shading="flat",
-            precision="float32",
-        )
-
-    def _mount(self) -> None:
-        """Draw the gripper in use, out of sight until there is a grasp."""
-        gripper = self.synthesizer.gripper
-        assert gripper is not None
-        if self._figure is not None:
-            self._figure.remove()
-        self._figure = GripperFigure(self.server.scene, "/gripper", gripper, visible=False)
-        self._axes = [
-            self.server.scene.add_frame(f"/gripper/{name}", axes_length=size, axes_radius=0.0012)
-            for name, size in (("frame", 0.05), ("tcp", 0.03))
-        ]
-        move(self._axes[1], gripper.gripper_from_tcp)
-
     def _fill_lists(self) -> None:
         self._filling = True
         lists = self.lists
@@ -444,127 +374,46 @@ class SceneViewer:
         self._show_grasp()
 
     def _show_grasp(self) -> None:
-        if self._filling or self._figure is None:
+        if self._filling:
             return
-        chosen = self._chosen()
-        # The slider has two places even where there is one grasp.
-        number = min(int(self.number.value), max(len(chosen), 1))
-        self._figure.visible = bool(chosen)
-        for name in PATHS:
-            self._remove(f"/path/{name}")
-        if not chosen:
+        chosen, grasp = self._chosen(), self.grasp
+        self._drawing.grasp(grasp, frames=self.frames.value, paths=self.paths.value)
+        if grasp is None:
             self.details.content = "" if self.lists is None else "nothing in this list"
-            self._show_others()
-            return
-        grasp = chosen[number - 1]
-        self._figure.place(grasp.world_from_gripper)
-        self._close()
-        for axes in self._axes:
-            axes.visible = bool(self.frames.value)
-        if self.paths.value:
-            self._draw_paths(grasp)
-        self.details.content = report(grasp, number, len(chosen))
+        else:
+            self._close()
+            self.details.content = report(grasp, int(self.number.value), len(chosen))
         self._show_others()
 
-    def _draw_paths(self, grasp: RankedGrasp) -> None:
-        gripper = self.synthesizer.gripper
-        assert gripper is not None
-        ends = {
-            "approach": grasp.world_from_gripper_approach,
-            # Where the planner says it; otherwise one leaves as one came.
-            "retreat": getattr(grasp, "world_from_gripper_retreat", None),
-        }
-        here = grasp.world_from_tcp[:3, 3]
-        for name, pose in ends.items():
-            if pose is None:
-                continue
-            there = (pose @ gripper.gripper_from_tcp)[:3, 3]
-            lines = np.concatenate(
-                [np.array([[here, there]], np.float32), fork(gripper, [pose])]
-            ).astype(np.float32)
-            self.server.scene.add_line_segments(
-                f"/path/{name}", lines, PATHS[name], thickness=0.0015
-            )
-
     def _close(self) -> None:
-        if self._figure is None:
-            return
-        start = float(getattr(self.grasp, "share", 0.0))
-        self._figure.close(start + (1.0 - start) * float(self.fingers.value))
+        grasp = self.grasp
+        start = 0.0 if grasp is None else grasp.share
+        self._drawing.close(start + (1.0 - start) * float(self.fingers.value))
 
     def _show_others(self) -> None:
-        """Draw all of the list but the one that is looked at, as forks or as grippers."""
-        chosen, gripper = self._chosen(), self.synthesizer.gripper
-        assert gripper is not None
+        """Draw all of the list but the one that is looked at."""
+        chosen = self._chosen()
         ranked = str(self.list.value).startswith(f"{RANKED} ")
-        number = int(self.number.value) - 1
-        others = [index for index in range(len(chosen)) if index != number]
-        poses = [chosen[index].world_from_gripper for index in others]
-        colours = np.array(
-            [
-                255 * np.asarray(rank_colour(index, len(chosen))) if ranked else REJECTED
-                for index in others
-            ]
-        ).reshape(-1, 3)
-        self._remove("/others/forks")
-        self._remove("/others/grippers")
-        if poses and self.forks.value:
-            self.server.scene.add_line_segments(
-                "/others/forks",
-                fork(gripper, poses),
-                np.repeat(colours, 8, axis=0).reshape(-1, 2, 3).astype(np.uint8),
-                thickness=0.002,
-            )
-        if poses and self.meshes.value:
-            vertices, faces = joined(gripper.meshes("open"))
-            nodes = [position_and_wxyz(pose) for pose in poses]
-            self.server.scene.add_batched_meshes_simple(
-                "/others/grippers",
-                np.asarray(vertices, np.float32),
-                np.asarray(faces, np.uint32),
-                batched_wxyzs=np.array([node[1] for node in nodes], np.float32),
-                batched_positions=np.array([node[0] for node in nodes], np.float32),
-                batched_colors=colours.astype(np.uint8),
-                opacity=0.5,
-                flat_shading=True,
-                side="double",
-            )
+        others = [index for index in range(len(chosen)) if index != int(self.number.value) - 1]
+        colours = [
+            255 * np.asarray(rank_colour(index, len(chosen))) if ranked else REJECTED
+            for index in others
+        ]
+        self._drawing.others(
+            [chosen[index] for index in others],
+            np.array(colours).reshape(-1, 3),
+            forks=self.forks.value,
+            grippers=self.meshes.value,
+        )
 
     def _show_space(self) -> None:
         wanted = {key for key, switch in self.spaces.items() if switch.value}
         if wanted and self.space is None:
             self.space = known_space(self.cloud, self.asked, self.synthesizer)
-        for key, (_, colour) in SPACES.items():
-            self._remove(f"/space/{key}")
-            if key not in wanted or self.space is None:
-                continue
-            points = getattr(self.space, key)
-            size = 0.002 if key == "seen" else 0.35 * self.space.pitch
-            self.server.scene.add_point_cloud(
-                f"/space/{key}",
-                points.astype(np.float32),
-                colour,
-                point_size=size,
-                point_shape="circle",
-                precision="float32",
-            )
-
-    def _remove(self, name: str) -> None:
-        node = self.server.scene.get_handle_by_name(name)
-        if node is not None:
-            node.remove()
+        self._drawing.space(self.space, wanted)
 
 
 def _png(image: Any) -> bytes:
     buffer = io.BytesIO()
     image.save(buffer, format="PNG")
     return buffer.getvalue()
-
-
-def _spacing(points: np.ndarray) -> float:
-    """About how far neighbours are apart (m), 1 to 6 mm."""
-    if len(points) < 100:
-        return 0.004
-    extent = np.percentile(points, 95, axis=0) - np.percentile(points, 5, axis=0)
-    area = float(np.prod(np.sort(extent)[1:]))
-    return float(np.clip(1.1 * np.sqrt(area / len(points)), 0.001, 0.006))

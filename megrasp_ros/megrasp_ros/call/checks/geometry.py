@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from megrasp_core.errors import EmptyRegionError, InvalidRequestError, MegraspError
 from megrasp_core.pointcloud import (
     Cloud,
-    DepthImage,
     Plane,
     SurfaceCloud,
     check_not_upside_down,
@@ -112,7 +111,7 @@ def _surface(
     except EmptyRegionError:
         return None
     for view in surface.views:
-        DepthImage(view.points, view.sensor)
+        _ = view.image  # raises where the sensor is not outside the cloud
     if region is None and only_support_left(surface.points, region, surface.gravity):
         check_not_upside_down(surface.points, surface.gravity)
     return surface

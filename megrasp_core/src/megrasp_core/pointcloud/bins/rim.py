@@ -136,6 +136,23 @@ def _pose(origin: FloatArray, x: FloatArray, z: FloatArray) -> FloatArray:
     return pose
 
 
+@dataclass(frozen=True, eq=False)
+class _Side:
+    """What is seen at one of the four walls; low x, high x, low y, high y.
+
+    Attributes:
+        wall: where its inside is.
+        ends: (2,) see `_ends`.
+        corners: (2,) see `_corners`.
+        top: (3, K) places on its rim, in the frame of the rim.
+    """
+
+    wall: Wall
+    ends: FloatArray
+    corners: FloatArray
+    top: FloatArray
+
+
 def _improved(
     points: FloatArray,
     rim: Rim,
@@ -146,87 +163,29 @@ def _improved(
 ) -> Rim | None:
     local = rim.local(points)
     views = None if eyes is None else rim.local(eyes)
-    walls: list[Wall] = []
-    places: list[FloatArray] = []
-    ends = np.full((4, 2), np.nan)
-    corners = np.full((4, 2), np.nan)
-    for side in range(4):
-        axis, sign = side // 2, 1 if side % 2 else -1
-        half = float(rim.half[1 - axis])
-        q, t, z = sign * local[axis] - rim.half[axis], local[1 - axis], local[2]
-        on = (q > -INSIDE) & (q < OUTSIDE) & (np.abs(t) < half + INSIDE)
-        q, t, z = q[on], t[on], z[on]
-        if views is None:
-            inwards = np.ones(len(q), bool)
-        else:
-            view = views[axis, on] if views.shape[1] > 1 else views[axis]
-            inwards = sign * view - rim.half[axis] < q
-        between = np.abs(t) < half - STEP
-        wall = wall_near(
-            q[between],
-            t[between],
-            z[between],
-            half,
-            band,
-            slack,
-            rim.thickness,
-            inwards[between],
-        )
-        walls.append(wall)
-        width = wall.thickness if np.isfinite(wall.thickness) else 0.006
-        line = wall.at + wall.turn * t
-        thin = width < THIN
-        low, high = (-0.0005, width + 0.0005) if thin else (0.0005, min(width, ON_RIM))
-        top = (q > line + low) & (q < line + high) & (np.abs(z) < band)
-        ends[side] = _ends(t[top], half)
-        level = np.abs(z) < band
-        corners[side] = _corners(q[level] - line[level], t[level], ends[side], rim.thickness)
-        top &= between
-        xyz = np.empty((3, int(top.sum())))
-        xyz[axis], xyz[1 - axis], xyz[2] = sign * (rim.half[axis] + q[top]), t[top], z[top]
-        places.append(_pieces(xyz, t[top], half, upper=thin))
-    plane, error = _plane(places, band)
+    sides = [_side(side, local, views, rim, band, slack) for side in range(4)]
+    walls = [side.wall for side in sides]
+    plane, error = _plane([side.top for side in sides], band)
     if plane is None:
         return None
     seen = np.array([wall.seen for wall in walls])
     known = seen >= KNOWN
     if not (known[:2].any() and known[2:].any()):
         return None
+    width = np.array([wall.thickness for wall in walls])
+    thickness = float(np.nanmedian(width)) if np.isfinite(width).any() else float("nan")
+    edges = _edges(sides, rim, known, thickness, size)
+    if edges is None:
+        return None
     # Walls that are longer and seen better say more about the direction.
     signs = np.array([1, -1, -1, 1])
     weights = np.array([wall.weight for wall in walls]) * known
     turn = float((signs * [wall.turn for wall in walls]) @ weights / max(weights.sum(), 1e-9))
-    out = rim.half[[0, 0, 1, 1]] + [wall.at for wall in walls]
     gone = np.array([wall.open for wall in walls])
-    width = np.array([wall.thickness for wall in walls])
-    thickness = float(np.nanmedian(width)) if np.isfinite(width).any() else float("nan")
-    for side in range(4):
-        reach = _reach(side, known, ends)
-        if known[side]:
-            # Rims that go on past a wall which is hardly seen: it is something in the bin.
-            past = reach - out[side] > OVERRUN + np.nan_to_num(thickness)
-            if seen[side] < SURE and past.all():
-                return None
-        elif size is not None:
-            edge = min(size, key=lambda one: abs(one - 2 * rim.half[side // 2]))
-            out[side] = edge - out[side ^ 1]
-        elif np.isfinite(reach).any():
-            at = _beside(side), side % 2
-            out[side] = _unseen(reach, corners[at], thickness)
-        else:
-            return None
-    low, high, lower, upper = out * [-1, 1, -1, 1]
+    low, high, lower, upper = edges * [-1, 1, -1, 1]
     middle = np.array([(low + high) / 2, (lower + upper) / 2])
-    rotation, origin = rim.level_from_rim[:3, :3], rim.level_from_rim[:3, 3]
-    x = np.array([np.cos(turn), np.sin(turn), 0.0])
-    x[2] = plane[:2] @ x[:2]
-    pose = _pose(
-        rotation @ [*middle, plane @ [*middle, 1.0]] + origin,
-        rotation @ x,
-        rotation @ [-plane[0], -plane[1], 1.0],
-    )
     return Rim(
-        pose,
+        _moved(rim.level_from_rim, middle, turn, plane),
         np.array([high - low, upper - lower]) / 2,
         np.maximum(seen - gone, 0.0),
         np.array([wall.inner for wall in walls]),
@@ -235,6 +194,102 @@ def _improved(
         np.array([wall.draft for wall in walls]),
         thickness,
         error,
+    )
+
+
+def _side(
+    side: int,
+    local: FloatArray,
+    views: FloatArray | None,
+    rim: Rim,
+    band: float,
+    slack: float,
+) -> _Side:
+    """What is seen of one wall.
+
+    Args:
+        side: 0 to 3.
+        local: (3, N) points in the frame of the rim.
+        views: (3, N) where each was seen from, in the same frame, or (3, 1); None: not known.
+        rim: where to look.
+        band: height of what counts as rim, on either side of its plane (m).
+        slack: how far the wall may be from where it is expected (m).
+    """
+    axis, sign = side // 2, 1 if side % 2 else -1
+    half = float(rim.half[1 - axis])
+    # Across the wall, outwards from where it is expected; along it; and up.
+    q, t, z = sign * local[axis] - rim.half[axis], local[1 - axis], local[2]
+    on = (q > -INSIDE) & (q < OUTSIDE) & (np.abs(t) < half + INSIDE)
+    q, t, z = q[on], t[on], z[on]
+    inwards = np.ones(len(q), bool)
+    if views is not None:
+        view = views[axis, on] if views.shape[1] > 1 else views[axis]
+        inwards = sign * view - rim.half[axis] < q
+    between = np.abs(t) < half - STEP
+    wall = wall_near(
+        q[between], t[between], z[between], half, band, slack, rim.thickness, inwards[between]
+    )
+    width = wall.thickness if np.isfinite(wall.thickness) else 0.006
+    line = wall.at + wall.turn * t
+    thin = width < THIN
+    low, high = (-0.0005, width + 0.0005) if thin else (0.0005, min(width, ON_RIM))
+    level = np.abs(z) < band
+    top = (q > line + low) & (q < line + high) & level
+    ends = _ends(t[top], half)
+    corners = _corners(q[level] - line[level], t[level], ends, rim.thickness)
+    top &= between
+    xyz = np.empty((3, int(top.sum())))
+    xyz[axis], xyz[1 - axis], xyz[2] = sign * (rim.half[axis] + q[top]), t[top], z[top]
+    return _Side(wall, ends, corners, _pieces(xyz, t[top], half, upper=thin))
+
+
+def _edges(
+    sides: list[_Side], rim: Rim, known: BoolArray, thickness: float, size: FloatArray | None
+) -> FloatArray | None:
+    """(4,) how far outwards from the middle of the old rim the inside of each wall is (m); None
+    where something else than a wall is seen, or one is neither seen nor told by others.
+
+    Args:
+        sides: four of them.
+        rim: the old one.
+        known: (4,) which walls are seen.
+        thickness: of the rim (m), NaN where unknown.
+        size: inner edges (2,) if known (m).
+    """
+    ends = np.stack([side.ends for side in sides])
+    corners = np.stack([side.corners for side in sides])
+    edges = rim.half[[0, 0, 1, 1]] + [side.wall.at for side in sides]
+    for side in range(4):
+        reach = _reach(side, known, ends)
+        if known[side]:
+            # Rims that go on past a wall which is hardly seen: it is something in the bin.
+            past = reach - edges[side] > OVERRUN + np.nan_to_num(thickness)
+            if sides[side].wall.seen < SURE and past.all():
+                return None
+        elif size is not None:
+            edge = min(size, key=lambda one: abs(one - 2 * rim.half[side // 2]))
+            edges[side] = edge - edges[side ^ 1]
+        elif np.isfinite(reach).any():
+            at = _beside(side), side % 2
+            edges[side] = _unseen(reach, corners[at], thickness)
+        else:
+            return None
+    return edges
+
+
+def _moved(
+    level_from_rim: FloatArray, middle: FloatArray, turn: float, plane: FloatArray
+) -> FloatArray:
+    """(4, 4) level_from_rim of a rim whose middle (2,), turn (rad) about z and plane (3,) are seen
+    in the frame of an old one.
+    """
+    rotation, origin = level_from_rim[:3, :3], level_from_rim[:3, 3]
+    x = np.array([np.cos(turn), np.sin(turn), 0.0])
+    x[2] = plane[:2] @ x[:2]
+    return _pose(
+        rotation @ [*middle, plane @ [*middle, 1.0]] + origin,
+        rotation @ x,
+        rotation @ [-plane[0], -plane[1], 1.0],
     )
 
 
