@@ -117,7 +117,17 @@ def ring_cameras(
     height_px: int = 240,
     fovy: float = 0.65,
 ) -> list[Camera]:
-    """Return `count` cameras around a point, by turns at a low and a high elevation (rad)."""
+    """Cameras around a point, by turns low and high, which look at it.
+
+    Args:
+        count: how many.
+        centre: (3,) the point, world frame (m).
+        distance: from it (m).
+        elevation: the low and the high one over level (rad).
+        width_px: of the images.
+        height_px: of the images.
+        fovy: vertical field of view (rad).
+    """
     cameras = []
     for index in range(count):
         azimuth = 2.0 * np.pi * index / count

@@ -283,15 +283,23 @@ def build_world(
 ) -> World:
     """Compile a world: support surface z = 0, z up.
 
-    friction: sliding friction of everything; None takes each object's own (0.8 by default).
-    obstacles: indices of objects that must not be lifted.
-    object_poses: world-from-object (n, 4, 4); without it all objects start parked out of the
-        scene.
-    visual: whether to add the visual meshes to the MuJoCo model, which only MuJoCo's own viewer
-        needs.
-    table: whether there is a support at all (free space has none).
-    locked: whether joints that the gripper's grasps do not move are fixed (`idle.py`).
-    Raises SimulationError when MuJoCo cannot compile the model.
+    Args:
+        objects: in it.
+        gripper: in it, parked out of the scene; None: none.
+        bin: on the table; None: the table alone.
+        friction: sliding friction of everything; None: each object's own (0.8 by default).
+        timestep: (s).
+        gravity: whether it pulls.
+        obstacles: indices of objects that must not be lifted.
+        object_poses: world_from_object (n, 4, 4); None: all objects start parked out of the scene.
+        table: whether there is a support at all (free space has none).
+        visual: whether to add the visual meshes to the MuJoCo model, which only MuJoCo's own
+            viewer needs.
+        guard: walls that keep falling objects in; None: none.
+        locked: whether joints that the gripper's grasps do not move are fixed (`idle.py`).
+
+    Raises:
+        SimulationError: an obstacle is no object, or MuJoCo cannot compile the model.
     """
     wrong = [i for i in obstacles if not 0 <= i < len(objects)]
     if wrong:

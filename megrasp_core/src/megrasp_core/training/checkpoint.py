@@ -72,7 +72,15 @@ def save_checkpoint(
     optimiser: torch.optim.AdamW,
     state: CheckpointState,
 ) -> None:
-    """Write everything that a run needs to go on; a killed write leaves the former checkpoint."""
+    """Write everything that a run needs to go on; a killed write leaves the former checkpoint.
+
+    Args:
+        folder: to write into; made where it is missing.
+        model: with the weights as they are trained.
+        ema: averaged weights by name.
+        optimiser: whose moments are kept.
+        state: all else.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     weights = model.state_dict()
     packing = _Packing()
