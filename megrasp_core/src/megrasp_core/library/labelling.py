@@ -22,7 +22,7 @@ from megrasp_core.simulation import FreeSpaceResult, FreeSpaceRig, Reason
 from megrasp_core.storage import GraspSet, remove_leftovers
 
 from .candidates import CandidateSettings, ObjectSurface, antipodal
-from .grasp_library import find_pair, thinned, write_grasp_set
+from .grasp_library import find_pair, with_few_failures, write_grasp_set
 
 STEP = 1.15
 """Factor by which moves grow or shrink."""
@@ -136,7 +136,7 @@ def label_object(
         drawn=trials.drawn,
         tried=len(trials.results),
     )
-    return thinned(entry, max(4, round(settings.failures * settings.target)))
+    return with_few_failures(entry, max(4, round(settings.failures * settings.target)))
 
 
 class _Trials:

@@ -13,7 +13,7 @@ from megrasp_core.errors import InvalidRequestError
 from megrasp_core.pointcloud import DepthImage, DepthImageSettings, View
 from megrasp_core.ranges import LENGTH, check_ranges
 
-from .probe import thinned
+from .probe import one_per_cell
 
 if TYPE_CHECKING:
     from megrasp_core.pointcloud import OrientedBox, Plane
@@ -115,7 +115,7 @@ class SceneObservation:
             for view in views or (View(self.points, self.sensor),)
         ]
         if surface_points is None:
-            surface_points = thinned(self.points, 0.003)
+            surface_points = one_per_cell(self.points, 0.003)
         # Columns lie together in memory: they are filtered axis by axis.
         self.surface_points = np.asfortranarray(surface_points, dtype=np.float32)
         self.gravity = None if gravity is None else np.asarray(gravity, dtype=np.float64)

@@ -171,7 +171,7 @@ def gripper_probe(gripper: Gripper, settings: ProbeSettings | None = None) -> Gr
     whole = _thinner_far_away(points, near, s)
     probe = GripperProbe(
         points=whole,
-        approach_points=thinned(whole, s.approach_spacing),
+        approach_points=one_per_cell(whole, s.approach_spacing),
         field=DistanceField.around(dense, s.clearance_range),
         tcp=tcp,
         volume=None if pads is None else pads.volume(tcp),
@@ -198,7 +198,7 @@ def gripper_probe(gripper: Gripper, settings: ProbeSettings | None = None) -> Gr
             replace(
                 probe,
                 points=whole,
-                approach_points=thinned(whole, s.approach_spacing),
+                approach_points=one_per_cell(whole, s.approach_spacing),
                 field=DistanceField.around(dense_there, s.clearance_range, s.narrower_grid),
                 volume=volume,
                 opening=float(widths[index]),
@@ -215,7 +215,7 @@ def gripper_probe(gripper: Gripper, settings: ProbeSettings | None = None) -> Gr
 
 def _thinner_far_away(points: np.ndarray, near: np.ndarray, s: ProbeSettings) -> np.ndarray:
     points = np.asarray(points, dtype=np.float32)
-    return np.concatenate([points[near], thinned(points[~near], s.far_spacing)])
+    return np.concatenate([points[near], one_per_cell(points[~near], s.far_spacing)])
 
 
 @dataclass(frozen=True)
@@ -278,7 +278,7 @@ def _pads_of(gripper: Gripper, seed: int) -> _Pads | None:
     return None
 
 
-def thinned(points: np.ndarray, spacing: float) -> np.ndarray:
+def one_per_cell(points: np.ndarray, spacing: float) -> np.ndarray:
     """One point per occupied cell of a cubic grid of this spacing, the one nearest to its
     middle.
     """

@@ -14,7 +14,7 @@ from megrasp_core.errors import SimulationError
 
 from .assembly import GRIPPER_PREFIX, GUARD_CONTYPE, Guard, assemble
 from .coordinates import read_pose, write_pose
-from .hand import Hand, Posture
+from .hand import Hand, HandPosture
 from .support import Bin
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ class World:
         return self._hand
 
     def place_gripper(
-        self, world_from_gripper: NDArray[np.float64], posture: Posture = "open"
+        self, world_from_gripper: NDArray[np.float64], posture: HandPosture = "open"
     ) -> None:
         """Put the gripper, at rest in a posture, at a pose (4, 4), driven to hold that posture."""
         self.hand.place(world_from_gripper, posture)
