@@ -61,6 +61,7 @@ def test_all_that_is_wrong_is_told_at_once_and_as_the_error_of_the_place() -> No
         (COUNT, [0, 7, np.int64(3)], [-1, 1.0, True, "1", None, [1]]),
         (SHARE, [0, 1, 0.5, np.float32(0.5)], [1.001, np.nan, np.inf, False, 10**400]),
         (POSITIVE, [1e-300, 7], [0, np.inf, -1.0]),
+        (Range(0, several=True), [(), (1, 2.0), [0.5]], [1, (1, -1), (1, True), None, "12"]),
         (Range(2, below=3, optional=True), [None, 2, 2.9], [3, 1.9]),
     ],
 )

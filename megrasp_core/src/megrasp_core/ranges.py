@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ class Range:
         below: it must be less than this.
         whole: an integer.
         optional: None is taken as well.
+        several: a tuple or list of such numbers.
         unit: for the message.
     """
 
@@ -35,12 +36,16 @@ class Range:
     below: float = math.inf
     whole: bool = False
     optional: bool = False
+    several: bool = False
     unit: str = ""
 
     def takes(self, value: object) -> bool:
         """Whether a value lies in it."""
         if value is None:
             return self.optional
+        if self.several:
+            one = replace(self, several=False, optional=False)
+            return isinstance(value, (tuple, list)) and all(map(one.takes, value))
         kinds = (int, np.integer) if self.whole else (int, float, np.integer, np.floating)
         if isinstance(value, bool) or not isinstance(value, kinds):
             return False
@@ -50,6 +55,8 @@ class Range:
     def __str__(self) -> str:
         """In words, for a message."""
         words = ["a whole number" if self.whole else "a number"]
+        if self.several:
+            words = ["whole numbers" if self.whole else "numbers"]
         least = abs(self.low) < sys.float_info.max
         for bound, limit in (
             ("from", self.low), ("over", self.above), ("to" if least else "up to", self.high),
@@ -75,7 +82,7 @@ def check_ranges(
     """Refuse settings of which some are outside their ranges, all in one message.
 
     Args:
-        settings: a dataclass; a field of several numbers is held to the range entry by entry.
+        settings: a dataclass.
         error: class of what is raised.
         allowed: ranges by the name of the field.
 
@@ -85,7 +92,7 @@ def check_ranges(
     wrong = []
     for name, wanted in allowed.items():
         value = getattr(settings, name)
-        if not all(map(wanted.takes, value if isinstance(value, (tuple, list)) else (value,))):
+        if not wanted.takes(value):
             wrong.append(f"{name} {value!r} was given; expected {wanted}")
     if wrong:
         raise error(". ".join(wrong) + ".")

@@ -66,7 +66,7 @@ class ProbeSettings:
             finger_spacing=POSITIVE,
             clearance_range=POSITIVE,
             seed=COUNT,
-            narrower=Range(above=0, below=1),
+            narrower=Range(above=0, below=1, several=True),
             narrower_grid=POSITIVE,
         )
 

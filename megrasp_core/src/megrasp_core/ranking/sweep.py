@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from megrasp_core.ranges import COUNT, LENGTH, check_ranges
+from megrasp_core.ranges import COUNT, LENGTH, Range, check_ranges
 
 from .contact import Contacts
 from .observation import PointState, SceneObservation
@@ -53,7 +53,7 @@ class SweepSettings:
             edge=LENGTH,
             max_structure=COUNT,
             max_inside=COUNT,
-            back_off=LENGTH,
+            back_off=Range(0, several=True),
             least_engagement=LENGTH,
         )
 

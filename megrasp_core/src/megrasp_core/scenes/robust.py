@@ -28,7 +28,7 @@ from megrasp_core.errors import InvalidRequestError
 from megrasp_core.grippers import Gripper
 from megrasp_core.lie import matrix_from_pose7
 from megrasp_core.objects import ObjectSet
-from megrasp_core.ranges import COUNT, LENGTH, POSITIVE, check_ranges
+from megrasp_core.ranges import COUNT, LENGTH, Range, check_ranges
 from megrasp_core.simulation import Reason, Variation, Verdict, build_world, judge, varied
 from megrasp_core.storage import NOT_TRIED, ROBUST_TRIALS, GripperLabels, Kind, SceneRecord
 
@@ -80,9 +80,9 @@ class RobustSettings:
             failures=COUNT,
             metres=LENGTH,
             radians=LENGTH,
-            friction=POSITIVE,
-            mass=POSITIVE,
-            force=POSITIVE,
+            friction=Range(above=0, several=True),
+            mass=Range(above=0, several=True),
+            force=Range(above=0, several=True),
             approach=LENGTH,
         )
         if not self.vary or not set(self.vary) <= set(FACTORS):

@@ -77,7 +77,7 @@ class DepthNoise:
             jump=LENGTH,
             edge_loss=SHARE,
             edge_mix=SHARE,
-            steep=SHARE,
+            steep=Range(0, 1, several=True),
             shiny_share=SHARE,
             shiny_cosine=SHARE,
             shiny_patch=SHARE,
