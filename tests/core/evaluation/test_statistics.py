@@ -29,7 +29,27 @@ def test_bootstrap_is_wider_where_scenes_differ():
     apart = cluster_bootstrap([100, 0] * 10, [100] * 20)
     assert same.rate == apart.rate == 0.5
     width = [r.ci95[1] - r.ci95[0] for r in (same, apart)]
-    assert width[0] < 0.01 < 0.3 < width[1]
+    assert width[0] < 0.05 < 0.3 < width[1]
+
+
+@pytest.mark.parametrize(
+    ("won", "tried", "like"),
+    [
+        ([5], [10], (0.5, 1)),  # one scene is one draw of luck
+        ([10, 10], [10, 10], (1.0, 2)),
+        ([0] * 50 + [0], [8] * 50 + [0], (0.0, 50)),  # nothing was tried in the last
+        ([3, 6], [10, 20], (0.3, 30)),
+    ],
+)
+def test_scenes_without_a_difference_leave_a_doubt(won, tried, like):
+    share, trials = like
+    low, high = cluster_bootstrap(won, tried).ci95
+    z = 1.959964
+    for end in (low, high):
+        if 0.0 < end < 1.0:  # Wilson's ends are where the share is z standard errors off
+            error = (end * (1 - end) / trials) ** 0.5
+            assert abs(end - share) == pytest.approx(z * error, rel=1e-4)
+    assert high - low > 0.05
 
 
 def test_bootstrap_covers_the_truth():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 from collections import Counter
@@ -18,7 +19,7 @@ from megrasp_core.explanation import Explanation, explain, setup_findings, write
 from megrasp_core.lie import PoseBatch
 from megrasp_core.network import PRESETS, GraspModel
 from megrasp_core.pointcloud import Cloud, OrientedBox
-from megrasp_core.ranking import PointState
+from megrasp_core.ranking import Calibration, PointState
 from megrasp_core.synthesizer import GraspSynthesizer, SynthesisRequest, SynthesizerSettings
 from megrasp_core.synthesizer.run import SynthesisRun
 
@@ -216,3 +217,33 @@ def test_far_from_the_origin_poses_are_told_in_the_frame_of_the_cloud(
     ends = np.array([one["world_from_tcp_drawn"][:3] for one in content["poses"]])
     assert (np.abs(ends - far - inside.centre) < inside.size / 2).all()
     assert (np.abs(starts - far - inside.centre) < inside.size / 2 + 0.12).all()
+
+
+def test_terms_make_the_score_of_a_calibrated_model(
+    synthesizer: GraspSynthesizer, explained: Explained, bin_scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stated = Calibration(bias=0.7, confidence=1.6, tilt=-0.4, hidden=-0.2, clearance=90.0)
+    info = dataclasses.replace(synthesizer.model.info, heads=("confidence",), calibration=stated)
+    monkeypatch.setattr(synthesizer.model, "info", info)
+    cloud, inside = bin_scene
+    explanation = explained(cloud, region=inside)
+    assert explanation.calibration == stated and explanation.returned
+    for grasp in explanation.returned:
+        terms = explanation.terms(grasp)
+        assert terms["bias"] == 0.7
+        logit = np.log(grasp.score) - np.log1p(-grasp.score)
+        assert sum(terms.values()) == pytest.approx(logit, abs=0.005)
+    poses = np.stack([grasp.world_from_tcp for grasp in explanation.returned])
+    assessed = synthesizer.assess(cloud, poses, region=inside)
+    scores = [grasp.score for grasp in explanation.returned]
+    np.testing.assert_allclose(assessed.score, scores, atol=1e-4)
+
+
+def test_the_region_that_is_proposed_far_away_fits(explained: Explained, bin_scene) -> None:
+    cloud, inside = bin_scene
+    far = np.array([400.0, -200.0, 0.0])
+    region = inside.transformed(pose(*far))
+    first = cause(explained(cloud.moved(far), region=moved(region, x=0.03)))
+    given = re.search(r"pose \[([-\d.e]+), ([-\d.e]+), ([-\d.e]+),", first)
+    assert given is not None
+    np.testing.assert_allclose([float(one) for one in given.groups()], region.centre, atol=0.003)

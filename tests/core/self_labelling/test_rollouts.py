@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import shutil
 
 import numpy as np
 import pytest
 import torch
 
+from megrasp_core.errors import DataError, SimulationError
 from megrasp_core.evaluation.calibration import calibrate, calibrate_kinds, judged_grasps
 from megrasp_core.evaluation.planners import AntipodalPlanner
 from megrasp_core.evaluation.protocols import ProtocolSettings
@@ -46,7 +49,7 @@ def synthesizer():
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, synthesizer):
     out = tmp_path_factory.mktemp("rollouts")
-    assert label_rollouts(out, synthesizer, OBJECTS, range(3, 5), SETTINGS) >= 2
+    assert label_rollouts(out, synthesizer, OBJECTS, range(3, 5), SETTINGS).stages >= 2
     return out
 
 
@@ -66,14 +69,43 @@ def test_every_stage_is_a_scene_with_the_grasps_that_were_tried(folder):
 def test_tables(tmp_path, synthesizer):
     config = dataclasses.replace(ON_TABLES, objects=(1, 2))
     settings = dataclasses.replace(SETTINGS, max_stages=1, scenes=config)
-    assert label_rollouts(tmp_path, synthesizer, OBJECTS, [5], settings) == 1
+    assert label_rollouts(tmp_path, synthesizer, OBJECTS, [5], settings).stages == 1
     record = SceneDataset(tmp_path)[0]
     assert record.bin is None and not record.obstacle.any()
     assert len(record.labels["robotiq_2f85"])
 
 
 def test_a_finished_bin_is_not_made_again(folder, synthesizer):
-    assert label_rollouts(folder, synthesizer, OBJECTS, range(3, 5), SETTINGS) == 0
+    done = label_rollouts(folder, synthesizer, OBJECTS, range(3, 5), SETTINGS)
+    assert (done.stages, done.failed) == (0, 0)
+
+
+def test_a_run_for_another_gripper_wants_a_folder_of_its_own(folder, synthesizer):
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest["grippers"] == {"robotiq_2f85": synthesizer.gripper.hash}
+    other = GraspSynthesizer(synthesizer.model, "franka_hand")
+    with pytest.raises(DataError, match="differs in grippers"):
+        label_rollouts(folder, other, OBJECTS, range(3, 5), SETTINGS)
+
+
+def test_folders_without_the_grippers_in_their_manifest_are_read(folder, tmp_path):
+    old = tmp_path / "old"
+    shutil.copytree(folder, old)
+    manifest = json.loads((old / "manifest.json").read_text())
+    for name in ("grippers", "objects", "versions"):
+        del manifest[name]
+    (old / "manifest.json").write_text(json.dumps(manifest))
+    assert len(read_entries([old])) == len(SceneDataset(folder))
+
+
+def test_scenes_that_fail_are_counted_and_told(tmp_path, synthesizer, monkeypatch, caplog):
+    def unsettled(seed, *_):
+        raise SimulationError(f"the heap of seed {seed} does not come to rest.")
+
+    monkeypatch.setattr("megrasp_core.self_labelling.rollouts.roll_out", unsettled)
+    done = label_rollouts(tmp_path, synthesizer, OBJECTS, range(2), SETTINGS)
+    assert (done.stages, done.failed) == (0, 2)
+    assert "scene 1 was left out: the heap of seed 1" in caplog.text
 
 
 def test_the_heads_train_on_stages_without_a_success(folder):

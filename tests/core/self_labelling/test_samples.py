@@ -10,16 +10,18 @@ import pytest
 import torch
 
 from megrasp_core.cli import main
-from megrasp_core.diffusion import SamplerSettings
+from megrasp_core.diffusion import SamplerSettings, sample_steps
 from megrasp_core.errors import DataError
 from megrasp_core.evaluation.collision_causes import CollisionCauses
 from megrasp_core.evaluation.sample_rates import sample_rates
 from megrasp_core.grippers import load_gripper
-from megrasp_core.lie import pose7_from_matrix
+from megrasp_core.lie import PoseBatch, pose7_from_matrix
 from megrasp_core.network import PRESETS, GraspModel, save_model
 from megrasp_core.objects import ObjectSet
+from megrasp_core.pointcloud import SceneSettings
 from megrasp_core.self_labelling.samples import (
     SampleSettings,
+    draw_poses,
     judge_poses,
     label_samples,
     world_of,
@@ -71,6 +73,45 @@ def test_poses_get_the_verdict_of_the_scene(record):
     assert set(labels.kind.tolist()) == {int(Kind.SAMPLED)}
 
 
+def test_a_collision_on_the_way_is_told_from_one_at_the_start(record):
+    upwards = np.eye(4)
+    upwards[2, 3] = 0.4  # free there, and 0.4 m back, below, the table is in the way
+    settings = dataclasses.replace(SETTINGS, approach_distance=0.4)
+    in_bin = dataclasses.replace(record, bin=Bin())
+    gripper = load_gripper("robotiq_2f85")
+    labels = judge_poses(in_bin, gripper, ObjectSet(()), upwards[None], settings)
+    assert labels.reason.tolist() == ["approach_collision"]
+
+
+def test_samplers_that_follow_the_score_are_given_it(record, monkeypatch):
+    """And the cloud is prepared as the model was trained."""
+    torch.manual_seed(0)
+    model = GraspModel(PRESETS["tiny"]).eval()
+    model.info = dataclasses.replace(model.info, scene=SceneSettings(max_nodes=16))
+    asked, nodes = [], []
+    encode, predict = model.encode_scene, model.predict
+
+    def steps(denoise, starts, sampler, *rest):
+        poses = PoseBatch(torch.eye(3).expand(len(starts), 3, 3), starts)
+        asked.append((denoise(poses, torch.ones(len(starts))), poses))
+        return sample_steps(denoise, starts, sampler, *rest)
+
+    monkeypatch.setattr("megrasp_core.self_labelling.samples.sample_steps", steps)
+    monkeypatch.setattr(model, "encode_scene", lambda of: nodes.append(of) or encode(of))
+    sampler = SamplerSettings(kind="langevin", steps=2, restarts=0)
+    gripper = load_gripper("robotiq_2f85")
+    draw_poses(record, model, gripper, dataclasses.replace(SETTINGS, sampler=sampler))
+    assert len(nodes[0].points) == 16
+    (answer, poses), code = (
+        asked[0],
+        model.encode_gripper(gripper.tokens(model.config.gripper_tokens, seed=0)),
+    )
+    with torch.inference_mode():
+        found = predict(encode(nodes[0]), code, poses, torch.ones(len(poses)))
+    assert torch.allclose(answer[:, 3:], found.score, atol=1e-4)
+    assert not torch.allclose(answer[:, 3:], found.residual[:, 3:], atol=1e-4)
+
+
 def test_collisions_are_told_by_depth_and_sight(record):
     gripper = load_gripper("robotiq_2f85")
     down = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -104,6 +145,8 @@ def test_a_run_writes_copies_and_resumes(record, tmp_path):
     )
     assert label_samples(*arguments, indices=[0]) == 1
     assert label_samples(*arguments) == 1, "the scene that is there must not be made again"
+    with pytest.raises(DataError, match="differs in grippers"):
+        label_samples(*arguments[:3], ("franka_hand",), *arguments[4:])
     made = SceneDataset(tmp_path / "samples")
     assert len(made) == 2
     labels = made[0].labels["robotiq_2f85"]

@@ -16,6 +16,7 @@ from megrasp_core.errors import (
     GravityError,
     InvalidRequestError,
     ModelError,
+    SensorPlaceError,
     UnknownGripperError,
 )
 from megrasp_core.grippers import load_gripper
@@ -79,6 +80,21 @@ def test_everything_is_returned_with_keep_all_best_first_failing_last(synthesize
     assert all(grasp.reason for grasp in result.grasps if not grasp.collision_free)
 
 
+def test_poses_that_were_not_refined_have_not_passed(model):
+    settings = SynthesizerSettings(refined=2, turns=False)
+    result = run(
+        GraspSynthesizer(model, "robotiq_2f85", settings=settings),
+        keep_all=True, num_grasps=300, drawn=300,
+    )  # fmt: skip
+    assert len(result.grasps) == 300
+    whole = [grasp for grasp in result.grasps if grasp.collision_free]
+    assert len(whole) <= 2, "only what was refined went through the whole check"
+    unrefined = [grasp for grasp in result.grasps if grasp.reason == "unrefined"]
+    assert len(unrefined) == result.rejected["unrefined"] > 0
+    free = [grasp.collision_free for grasp in result.grasps]
+    assert free == sorted(free, reverse=True)
+
+
 def test_poses_of_a_grasp_fit_each_other(synthesizer):
     gripper = synthesizer.gripper
     for grasp in run(synthesizer, keep_all=True, approach_distance=0.07).grasps:
@@ -130,6 +146,28 @@ def test_a_far_frame_moves_the_grasps_along(synthesizer):
         np.testing.assert_allclose(
             a.world_from_tcp[:3, 3] + shift, b.world_from_tcp[:3, 3], atol=2e-4
         )
+
+
+@pytest.mark.parametrize("how", ["synthesize", "assess"])
+def test_errors_of_a_far_scene_are_told_in_its_frame(synthesizer, how):
+    far = np.array([1000.0, 2000.0, 0.0])
+    cloud = table_cloud().moved(far)
+    asked = (cloud,) if how == "synthesize" else (cloud, np.eye(4)[None])
+    call = getattr(synthesizer, how)
+    beside = OrientedBox.around((1003.0, 2000.0, 0.0), (0.3, 0.3, 0.3))
+    with pytest.raises(EmptyRegionError, match=r"centre \[1003.0, 2000.0, 0.0\]"):
+        call(*asked, region=beside)
+    among = Cloud(cloud.points[cloud.points[:, 2] < 0.01])
+    inside = np.array([1000.0, 2000.0, 0.0005])
+    with pytest.raises(SensorPlaceError, match=r"\[1000.0, 2000.0, 0.0"):
+        call(among, *asked[1:], sensor=inside, gravity=None)
+
+
+def test_hints_of_a_far_scene_are_told_in_its_frame(synthesizer):
+    far = np.array([1000.0, 2000.0, 0.0])
+    moved, sensor = table_cloud().moved(far), np.add(far, (0.9, 0.0, 0.1))
+    found = synthesizer.synthesize(moved, sensor=sensor, seed=3, num_grasps=5, drawn=30)
+    assert "from the sensor at 1000.90 2000.00 0.10" in found.hints[0]
 
 
 def test_scene_is_encoded_once_a_cloud_and_gripper_once_a_gripper(model, monkeypatch):

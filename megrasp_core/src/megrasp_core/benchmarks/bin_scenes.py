@@ -11,7 +11,14 @@ from scipy.spatial.transform import Rotation
 from megrasp_core.errors import SimulationError
 from megrasp_core.lie import matrix_from_pose7
 from megrasp_core.meshes import Mesh, RayScene, joined
-from megrasp_core.objects import ConvexPiece, ObjectModel, ObjectSet, box, procedural_names
+from megrasp_core.objects import (
+    ConvexPiece,
+    ObjectModel,
+    ObjectSeeds,
+    ObjectSet,
+    box,
+    procedural_names,
+)
 from megrasp_core.pointcloud import Cloud, OrientedBox
 from megrasp_core.scenes import SceneConfig, draw_layout, scene_cameras
 from megrasp_core.simulation import (
@@ -29,8 +36,7 @@ from megrasp_core.simulation import (
 FloatArray = NDArray[np.float64]
 DOWN = np.array([0.0, 0.0, -1.0])
 OBJECTS = 60
-OBJECT_SEED = 800_000
-"""Procedural objects from here on: no other command draws them."""
+OBJECT_SEED = ObjectSeeds.BIN_FINDER.start
 NOISES = ("default", "default", "default", "structured_light", "stereo")
 """Cameras, each as often as it stands here."""
 WALL_SEEN = 0.5

@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 from megrasp_core.evaluation.report import hardware
 from megrasp_core.grippers import Gripper, gripper_folders, load_gripper
 from megrasp_core.library import CandidateSettings, ObjectSurface, antipodal
-from megrasp_core.objects import ObjectModel, ObjectSet, procedural_names, procedural_object
+from megrasp_core.objects import (
+    ObjectModel,
+    ObjectSeeds,
+    ObjectSet,
+    procedural_names,
+    procedural_object,
+)
 from megrasp_core.simulation import (
     START_DEPTH,
     Bin,
@@ -30,8 +36,7 @@ REFERENCE_TIMESTEP = 0.002
 NOISE = 5e-5
 """Standard deviation of the moves that show how far two runs at 2 ms agree (m)."""
 
-FIRST_OBJECT = 1_300_000
-"""Procedural objects from this seed on; neither training nor evaluation draws them."""
+FIRST_OBJECT = ObjectSeeds.DATA_BENCH.start
 
 PROFILED = 4
 """Objects whose trials are profiled."""

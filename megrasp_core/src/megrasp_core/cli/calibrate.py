@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from megrasp_core.errors import InvalidRequestError
+
 from .common import Flag, emit, progress_bar, say
 from .runs import executor_of
 
@@ -32,6 +34,7 @@ def calibrate(
     model: str | None = None,
     gripper: tuple[str, ...] = (),
     attempts: Path | None = None,
+    rows: tuple[Path, ...] = (),
     scenes: int = 20,
     judged: int = 8,
     drawn: int = 100,
@@ -51,12 +54,15 @@ def calibrate(
     Try:
       megrasp calibrate --out models/megrasp-small/evaluation/calibration.json --write
       megrasp calibrate --attempts attempts --model megrasp-small --out calibration.json
+      megrasp calibrate --rows first.judged.npz second.judged.npz --out calibration.json --write
 
     Args:
         out: result file (JSON).
         model: id or folder.
         gripper: names of grippers; by default six of all kinds, and of attempts all.
         attempts: folder that a cell recorded into, instead of the simulation.
+        rows: judged grasps that earlier runs left beside their results (`NAME.judged.npz`),
+            instead of the simulation.
         scenes: bins or tables per gripper.
         judged: grasps judged per stage.
         drawn: poses drawn per synthesis.
@@ -68,15 +74,27 @@ def calibrate(
     """
     from megrasp_core.evaluation.attempts import recalibrated
     from megrasp_core.evaluation.calibration import calibrate as fit
-    from megrasp_core.evaluation.calibration import calibrate_kinds
+    from megrasp_core.evaluation.calibration import calibrate_kinds, read_judged, write_judged
     from megrasp_core.network import find_model, load_model, save_model
 
     folder = find_model(model)
     extra: dict[str, Any] = {}
-    if attempts is None:
+    if rows:
+        if attempts is not None or gripper:
+            raise InvalidRequestError(
+                "--rows was given with --attempts or --gripper; expected it alone, since the rows "
+                "are judged already. Leave the others out."
+            )
+        parts = [part for path in rows for part in read_judged(path)]
+        extra = {"rows": [path.name for path in rows]}
+    elif attempts is None:
         parts = _simulated(
             model, gripper or DEFAULT, scenes, judged, drawn, threads, workers, seed
         )
+        # Before the fit: it may find that all of these hold, and they took hours.
+        kept = out.with_suffix(".judged.npz")
+        write_judged(parts, kept)
+        say(f"wrote {kept}")
         extra = {"seed": seed, "drawn": drawn}
     else:
         parts, extra = _recorded(attempts, load_model(folder), gripper)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from .common import emit, progress_bar, say
 
@@ -25,8 +26,20 @@ def clutter_rates(
     out: Path,
     picture: Path | None,
     planned_for: str,
+    without: Sequence[str] = (),
 ) -> int:
-    """Run the rounds, write the result file and, with `picture`, a sheet of the first round."""
+    """Run the rounds, write the result file and, with `picture`, a sheet of the first round.
+
+    Args:
+        settings: of the rounds.
+        gripper: in the simulation.
+        planner: answers with grasps.
+        objects: folder, or None: procedural ones.
+        out: result file.
+        picture: PNG, or None.
+        planned_for: name of the gripper that the planner plans for.
+        without: stages that the planner leaves out, for the result file.
+    """
     from megrasp_core.evaluation.clutter_removal.object_files import clutter_pool, fitting
     from megrasp_core.evaluation.clutter_removal.picture import RoundPicture
     from megrasp_core.evaluation.clutter_removal.report import evaluate_clutter
@@ -37,6 +50,13 @@ def clutter_rates(
     sheet = None if picture is None else RoundPicture(gripper)
     out.parent.mkdir(parents=True, exist_ok=True)
     place = "procedural" if objects is None else "/".join(objects.resolve().parts[-2:])
+
+    def content(of: ClutterResult) -> dict[str, Any]:
+        found = of.to_json()
+        if without:
+            found["config"]["without"] = list(without)
+        return found
+
     with progress_bar(settings.rounds, settings.scene) as bar:
 
         def tell(done: int, so_far: ClutterResult) -> None:
@@ -48,7 +68,7 @@ def clutter_rates(
                 said = ", ".join(f"{key} {value}" for key, value in counts.items())
                 say(f"{done} rounds: {said}")
             # A run that is stopped leaves what it has.
-            out.write_text(json.dumps(so_far.to_json(), indent=1) + "\n")
+            out.write_text(json.dumps(content(so_far), indent=1) + "\n")
             if done == 1 and sheet is not None and picture is not None and sheet.save(picture):
                 say(f"wrote {picture}")
 
@@ -69,5 +89,5 @@ def clutter_rates(
                 f"{name:>4}: {rate.successes}/{rate.trials} = {100 * rate.rate:.1f} % "
                 f"[{100 * low:.1f}, {100 * high:.1f}]"
             )
-    emit(result.to_json(), out)
+    emit(content(result), out)
     return 0 if result.grasp_success().successes else 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from megrasp_core.errors import InvalidRequestError
 
@@ -13,9 +13,16 @@ from .runs import Executor, executor_of
 
 if TYPE_CHECKING:
     from megrasp_core.evaluation.planners import Planner
+    from megrasp_core.evaluation.protocols import ProtocolSettings
     from megrasp_core.evaluation.report import EvaluationResult
+    from megrasp_core.grippers import Gripper
+    from megrasp_core.jobs import ExecutorConfig
 
 __all__ = ["evaluation"]
+
+Stage = Literal["openings", "sweep", "turns", "back_off", "polish"]
+BASELINE_STAGES: tuple[Stage, ...] = ("openings", "sweep", "back_off")
+"""Stages of the synthesis that the baseline shares."""
 
 
 def evaluation(
@@ -40,7 +47,7 @@ def evaluation(
     model: str | None = None,
     baseline: Flag = False,
     ceiling: Flag = False,
-    without: tuple[Literal["openings", "sweep", "turns", "polish"], ...] = (),
+    without: tuple[Stage, ...] = (),
     device: str = "cpu",
     threads: int | None = None,
     executor: Executor = "local",
@@ -100,7 +107,8 @@ def evaluation(
         baseline: the analytic antipodal baseline instead of the model.
         ceiling: a planner that knows the true geometry and tries grasps before it names one: how
             far the protocol can be passed at all. Use it with --samples 0.
-        without: stages of the synthesis that are left out, to see what each of them gains.
+        without: stages of the synthesis that are left out, to see what each of them gains; not of
+            the ceiling, and of the baseline openings, sweep and back_off, since it has no others.
         device: cpu or cuda.
         threads: torch threads; where several processes run the scenes, one each without it.
         executor: local processes or a Ray cluster that run the scenes.
@@ -108,14 +116,9 @@ def evaluation(
         workers: processes or tasks in flight.
         seed: of scenes, noise and samples.
     """
-    from megrasp_core.evaluation.ceiling import CeilingPlanner
     from megrasp_core.evaluation.clutter_removal.protocol import ClutterSettings
-    from megrasp_core.evaluation.object_pool import graspable_objects, load_pool
-    from megrasp_core.evaluation.planners import AntipodalPlanner, ModelPlanner
     from megrasp_core.evaluation.protocols import ProtocolSettings
-    from megrasp_core.evaluation.report import evaluate
     from megrasp_core.grippers import load_gripper
-    from megrasp_core.synthesizer import GraspSynthesizer, SynthesizerSettings
 
     spread = None
     if executor != "local" or workers != 1:
@@ -126,51 +129,92 @@ def evaluation(
                 "expected cpu, since the processes that run the scenes have no other device. "
                 "Leave one of them out."
             )
-    rounds: ClutterSettings | None = None
-    settings: ProtocolSettings | None = None
-    if protocol == "packed" or protocol == "pile":
-        if ceiling or crop_floor or views != 10 or judged or count_all or spread:
-            raise InvalidRequestError(
-                f"--ceiling, --crop-floor, --views, --judged, --count-all or workers were given "
-                f"with {protocol}; expected none of them: its rounds have one side view of the "
-                "whole table, count what was executed and run in one process. Leave them out."
-            )
-        rounds = ClutterSettings(
-            scene=protocol, rounds=scenes, engine=engine, drawn=drawn, returned=returned,
-            friction=friction, noise=depth_noise, seed=seed,
-        )  # fmt: skip
-    elif picture is not None or engine != "pybullet" or depth_noise != "gaussian":
+    in_rounds = protocol == "packed" or protocol == "pile"
+    if in_rounds and (ceiling or crop_floor or views != 10 or judged or count_all or spread):
+        raise InvalidRequestError(
+            f"--ceiling, --crop-floor, --views, --judged, --count-all or workers were given "
+            f"with {protocol}; expected none of them: its rounds have one side view of the "
+            "whole table, count what was executed and run in one process. Leave them out."
+        )
+    if not in_rounds and (
+        picture is not None or engine != "pybullet" or depth_noise != "gaussian"
+    ):
         raise InvalidRequestError(
             f"--picture, --engine or --depth-noise was given with {protocol}; expected them with "
             "packed or pile. Leave them out."
         )
-    else:
-        settings = ProtocolSettings(
-            protocol=protocol, scenes=scenes, samples=samples, drawn=drawn, returned=returned,
-            judged=judged, possible_only=protocol == "binpick" and not count_all,
-            friction=friction, views=views, crop_floor=crop_floor, seed=seed,
-        )  # fmt: skip
     paths = () if gripper_path is None else (gripper_path,)
     loaded = load_gripper(gripper, paths)
     executing = loaded if execute_with is None else load_gripper(execute_with, paths)
-    planner: Planner
-    if ceiling:
-        planner = CeilingPlanner(executing)
-    elif baseline:
-        planner = AntipodalPlanner(loaded)
-    else:
-        planner = ModelPlanner(
-            GraspSynthesizer.load(
-                model,
-                loaded,
-                device=device,
-                threads=threads,
-                settings=SynthesizerSettings().without(without),
-            )
+    chosen = "ceiling" if ceiling else "baseline" if baseline else "model"
+    planner = _planner(chosen, without, loaded, executing, model, device, threads)
+    if protocol == "packed" or protocol == "pile":
+        rounds = ClutterSettings(
+            scene=protocol, rounds=scenes, engine=engine, drawn=drawn, returned=returned,
+            friction=friction, noise=depth_noise, seed=seed,
+        )  # fmt: skip
+        return clutter_rates(
+            rounds, executing, planner, objects, out, picture, loaded.name, without
         )
-    if rounds is not None:
-        return clutter_rates(rounds, executing, planner, objects, out, picture, loaded.name)
-    assert settings is not None
+    settings = ProtocolSettings(
+        protocol=protocol, scenes=scenes, samples=samples, drawn=drawn, returned=returned,
+        judged=judged, possible_only=protocol == "binpick" and not count_all,
+        friction=friction, views=views, crop_floor=crop_floor, seed=seed,
+    )  # fmt: skip
+    content = _rates(settings, executing, planner, objects, loaded.name, spread)
+    if without:
+        content["config"]["without"] = list(without)
+    emit(content, out)
+    return 0 if content["first"]["successes"] else 1
+
+
+def _planner(
+    chosen: Literal["model", "baseline", "ceiling"],
+    without: tuple[Stage, ...],
+    gripper: Gripper,
+    executing: Gripper,
+    model: str | None,
+    device: str,
+    threads: int | None,
+) -> Planner:
+    """Who plans, without some stages of the synthesis.
+
+    Raises:
+        InvalidRequestError: it has no such stages.
+    """
+    from megrasp_core.evaluation.ceiling import CeilingPlanner
+    from megrasp_core.evaluation.planners import AntipodalPlanner, ModelPlanner
+    from megrasp_core.synthesizer import GraspSynthesizer, SynthesizerSettings
+
+    known = {"model": without, "baseline": BASELINE_STAGES, "ceiling": ()}[chosen]
+    if not set(without) <= set(known):
+        raise InvalidRequestError(
+            f"--without {' '.join(without)} was given with --{chosen}; expected "
+            f"{'some of ' + ', '.join(known) if known else 'none of it'}, since it has no other "
+            "stages of the synthesis. Leave it out."
+        )
+    stages = SynthesizerSettings().without(without)
+    if chosen == "ceiling":
+        return CeilingPlanner(executing)
+    if chosen == "baseline":
+        return AntipodalPlanner(gripper, synthesizer=stages)
+    return ModelPlanner(
+        GraspSynthesizer.load(model, gripper, device=device, threads=threads, settings=stages)
+    )
+
+
+def _rates(
+    settings: ProtocolSettings,
+    executing: Gripper,
+    planner: Planner,
+    objects: Path | None,
+    planned_for: str,
+    spread: ExecutorConfig | None,
+) -> dict[str, Any]:
+    """Run a protocol of one's own simulation, tell the rates and return the result file."""
+    from megrasp_core.evaluation.object_pool import graspable_objects, load_pool
+    from megrasp_core.evaluation.report import evaluate
+
     pool = load_pool(objects)
     with progress_bar(len(pool), "graspable objects") as bar:
         usable = graspable_objects(
@@ -178,7 +222,7 @@ def evaluation(
         )
     say(f"{len(usable)} of {len(pool)} objects can be held by {executing.name}")
     place = "procedural" if objects is None else "/".join(objects.resolve().parts[-2:])
-    with progress_bar(settings.scenes, protocol) as bar:
+    with progress_bar(settings.scenes, settings.protocol) as bar:
 
         def tell(done: int, so_far: EvaluationResult) -> None:
             bar.update(done - bar.n)
@@ -190,18 +234,14 @@ def evaluation(
             }
             bar.set_postfix(rates)
             if bar.disable and done % 5 == 0:
-                say(
-                    f"{done} scenes: "
-                    + ", ".join(f"{key} {value}" for key, value in rates.items())
-                )
+                told = ", ".join(f"{key} {value}" for key, value in rates.items())
+                say(f"{done} scenes: {told}")
 
         result = evaluate(
-            settings, executing, planner, pool, usable, objects=place, planned_for=loaded.name,
+            settings, executing, planner, pool, usable, objects=place, planned_for=planned_for,
             executor=spread, on_scene=tell,
         )  # fmt: skip
     content = result.to_json()
-    if without:
-        content["config"]["without"] = list(without)
     for key in ("first", "first_all", "filtered", "unfiltered", "judged"):
         if content.get(key, {}).get("trials"):
             row = content[key]
@@ -210,5 +250,4 @@ def evaluation(
                 f"{key:>10}: {row['successes']}/{row['trials']} = {100 * row['rate']:.1f} % "
                 f"[{100 * low:.1f}, {100 * high:.1f}]"
             )
-    emit(content, out)
-    return 0 if content["first"]["successes"] else 1
+    return content

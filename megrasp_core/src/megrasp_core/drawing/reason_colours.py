@@ -21,6 +21,7 @@ _COLOURS = MappingProxyType(
         "score": "#e0b000",
         "duplicate": "#8fbf8f",
         "surplus": "#b9d7b9",
+        "unrefined": "#c8c8c8",
     }
 )
 

@@ -5,12 +5,15 @@ was not trained on and that are not those of the final evaluation, or in a real 
 from __future__ import annotations
 
 import functools
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from megrasp_core.errors import DataError
 from megrasp_core.grippers import Gripper
 from megrasp_core.jobs import ExecutorConfig
 from megrasp_core.objects import ObjectModel
@@ -22,6 +25,8 @@ from .report import hardware, run_scenes
 from .statistics import roc_auc
 
 FOLDS = 5
+ROWS = ("scene", "features", "confidence", "success")
+"""What `JudgedGrasps` has of every grasp."""
 LEAST_OF_A_KIND = 150
 """Fewer judged grasps of a kind of gripper are too few for a fit of their own."""
 
@@ -117,9 +122,48 @@ def judged_grasps(
     )
 
 
+def write_judged(judged: Sequence[JudgedGrasps], path: Path) -> None:
+    """Keep judged grasps for a later fit (npz); missing folders are made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    values = {f.name: [getattr(part, f.name) for part in judged] for f in fields(JudgedGrasps)}
+    content: dict[str, Any] = {
+        name: np.concatenate(parts) if name in ROWS else np.array(parts)
+        for name, parts in values.items()
+    }
+    np.savez_compressed(path, count=[len(part.success) for part in judged], **content)
+
+
+def read_judged(path: Path) -> list[JudgedGrasps]:
+    """The judged grasps of `write_judged`.
+
+    Raises:
+        DataError: the file is missing or holds something else.
+    """
+    try:
+        with np.load(path) as file:
+            ends = np.cumsum(file["count"])[:-1]
+            rows = {name: np.split(file[name], ends) for name in ROWS}
+            return [
+                JudgedGrasps(
+                    gripper=str(gripper),
+                    kind=str(kind),
+                    first=(int(first[0]), int(first[1])),
+                    **{name: parts[i] for name, parts in rows.items()},
+                )
+                for i, (gripper, kind, first) in enumerate(
+                    zip(file["gripper"], file["kind"], file["first"], strict=True)
+                )
+            ]
+    except (OSError, KeyError, IndexError, ValueError, zipfile.BadZipFile) as error:
+        raise DataError(
+            f"{path} cannot be read ({error}); expected the judged grasps that `megrasp "
+            "calibrate` writes beside its result."
+        ) from error
+
+
 def calibrate(judged: Sequence[JudgedGrasps]) -> tuple[Calibration, dict[str, Any]]:
     """Fit to the grasps of all grippers, and report the quality on bins that were left out
-    (5 folds).
+    (5 folds; those whose remainder cannot be fitted, since all of it held or none, are not in it).
 
     Raises:
         InvalidRequestError: only successes or only failures were judged.
@@ -127,19 +171,23 @@ def calibrate(judged: Sequence[JudgedGrasps]) -> tuple[Calibration, dict[str, An
     features = np.concatenate([part.features for part in judged])
     success = np.concatenate([part.success for part in judged])
     fold = np.concatenate([part.scene for part in judged]) % FOLDS
-    held_out = np.zeros(len(fold))
+    final = fit_calibration(features, success)
+    held_out = np.full(len(fold), np.nan)
     for k in np.unique(fold):
         mine = fold == k
-        fit = fit_calibration(features[~mine], success[~mine])
-        held_out[mine] = fit.of_features(features[mine])
-    final = fit_calibration(features, success)
+        # Where the others all held, or none did, nothing can be fitted to them.
+        if len(np.unique(success[~mine])) == 2:
+            fit = fit_calibration(features[~mine], success[~mine])
+            held_out[mine] = fit.of_features(features[mine])
+    told = np.isfinite(held_out)
+    held_out, outcome = held_out[told], success[told]
     confidence = np.concatenate([part.confidence for part in judged])
     return final, {
         "calibration": final.to_dict(),
         "grippers": {part.gripper: part.counts() for part in judged},
         "confidence": quality(confidence, success),
-        "held_out": quality(held_out, success),
-        "reliability": _reliability(held_out, success),
+        "held_out": {**quality(held_out, outcome), "judged": len(outcome)},
+        "reliability": _reliability(held_out, outcome),
         "hardware": hardware(),
     }
 
@@ -164,7 +212,9 @@ def calibrate_kinds(
 
 
 def quality(probability: np.ndarray, success: np.ndarray) -> dict[str, float | None]:
-    """Mean log loss (nats) and area under the ROC curve."""
+    """Mean log loss (nats) and area under the ROC curve; None where there is nothing to tell."""
+    if not len(success):
+        return {"log_loss": None, "auc": None}
     p = np.clip(probability, 1e-4, 1 - 1e-4)
     loss = -np.where(success, np.log(p), np.log1p(-p)).mean()
     return {"log_loss": round(float(loss), 4), "auc": roc_auc(p, success)}

@@ -11,6 +11,7 @@ from megrasp_core.grippers import Gripper
 from megrasp_core.library import LabelSettings, label_object
 from megrasp_core.objects import (
     ObjectModel,
+    ObjectSeeds,
     ObjectSet,
     asset_names,
     load_objects,
@@ -19,9 +20,6 @@ from megrasp_core.objects import (
 )
 
 PROCEDURAL_POOL = 60
-PROCEDURAL_SEED = 900_000
-VALIDATION_SEED = 700_000
-"""Procedural objects of evaluations are drawn from seeds from here on, training's from below."""
 
 
 @dataclass(frozen=True)
@@ -43,10 +41,14 @@ class GraspableSettings:
 
 
 def validation_pool(procedural: int = 30) -> list[ObjectModel]:
-    """Objects for choosing thresholds: the validation tenth of the train scans (where
-    MEGRASP_ASSETS is set) and procedural ones that neither training nor evaluation draws.
+    """Objects for fitting the score: the validation tenth of the train scans (where
+    MEGRASP_ASSETS is set) and procedural ones that neither training, validation nor evaluation
+    draws.
     """
-    names = [*asset_names("validation"), *procedural_names(procedural, VALIDATION_SEED)]
+    names = [
+        *asset_names("validation"),
+        *procedural_names(procedural, ObjectSeeds.CALIBRATION.start),
+    ]
     objects = ObjectSet(names)
     return [objects[name] for name in names]
 
@@ -58,7 +60,7 @@ def load_pool(folder: str | Path | None) -> list[ObjectModel]:
         ObjectError: the folder holds no object.
     """
     if folder is None:
-        return [procedural_object(PROCEDURAL_SEED + i) for i in range(PROCEDURAL_POOL)]
+        return [procedural_object(seed) for seed in ObjectSeeds.EVALUATION.value[:PROCEDURAL_POOL]]
     return load_objects(Path(folder))
 
 

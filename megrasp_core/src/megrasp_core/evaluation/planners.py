@@ -4,6 +4,7 @@ same check.
 
 from __future__ import annotations
 
+import copy
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -19,6 +20,7 @@ from megrasp_core.pointcloud import Cloud, SceneNodes, neighbours
 from megrasp_core.ranking import GripperProbe, gripper_probe
 from megrasp_core.simulation import World
 from megrasp_core.synthesizer import (
+    REPAIRS,
     Assessment,
     GraspSynthesizer,
     Synthesis,
@@ -39,6 +41,10 @@ class Planner(ABC):
     @abstractmethod
     def plan(self, cloud: Cloud, **options: Any) -> Synthesis:
         """Grasps for a cloud; options as of `SynthesisRequest`."""
+
+    def raw(self) -> Planner:
+        """The same planner without what moves samples after they were drawn."""
+        return self
 
     def look_inside(self, world: World, models: Mapping[int, ObjectModel]) -> None:  # noqa: B027
         """Told before each plan of the true scene and of the objects that may be lifted, by place;
@@ -61,6 +67,12 @@ class ModelPlanner(Planner):
     def plan(self, cloud: Cloud, **options: Any) -> Synthesis:
         """See `GraspSynthesizer.synthesize`."""
         return self.synthesizer.synthesize(cloud, **options)
+
+    def raw(self) -> ModelPlanner:
+        """The sampler alone, with the same model and the gripper as it is encoded."""
+        synthesizer = copy.copy(self.synthesizer)
+        synthesizer.settings = synthesizer.settings.without(REPAIRS)
+        return ModelPlanner(synthesizer)
 
 
 @dataclass(frozen=True)
@@ -102,20 +114,22 @@ class AntipodalPlanner(Planner):
     ) -> None:
         self.gripper = gripper
         self.settings = settings or AntipodalSettings()
-        self._options = synthesizer or SynthesizerSettings()
-        self._probe: GripperProbe = gripper_probe(gripper, self._options.probe)
+        self.options = synthesizer or SynthesizerSettings()
+        self._probe: GripperProbe = gripper_probe(gripper, self.options.probe)
 
     def plan(self, cloud: Cloud, **options: Any) -> Synthesis:
         """Candidates through the same check; `drawn` of them."""
         began = time.perf_counter()
-        request, ranking = SynthesisRequest.of(**options), self._options.ranking
+        request, ranking = SynthesisRequest.of(**options), self.options.ranking
         seen = perceive(cloud, request, None, ranking)
         tcp = self.candidates(seen.nodes, request.drawn, np.random.default_rng(request.seed))
 
         def assess(tcp: np.ndarray) -> Assessment:
             return seen.judge.assess(pose_set(tcp, self.gripper, request), self._probe, None)
 
-        assessed = backed_off(assess(tcp), assess, ranking.sweep)
+        assessed = assess(tcp)
+        if self.options.back_off:
+            assessed = backed_off(assessed, assess, ranking.sweep)
         grasps, rejected = rank_poses(assessed, self._probe, request, ranking)
         return Synthesis(
             grasps=grasps,
@@ -127,6 +141,10 @@ class AntipodalPlanner(Planner):
             gripper=self.gripper.name,
             model=self.name,
         )
+
+    def raw(self) -> AntipodalPlanner:
+        """The candidates as they are drawn."""
+        return AntipodalPlanner(self.gripper, self.settings, self.options.without(REPAIRS))
 
     def candidates(self, nodes: SceneNodes, count: int, rng: np.random.Generator) -> np.ndarray:
         """Draw `(count, 4, 4)` TCP poses in the frame of the cloud."""

@@ -38,8 +38,8 @@ SIDE_VIEW = 0.9
 """How steeply a single camera beside a table looks down (rad)."""
 CROPPED = 0.008
 """Up to this height over the table (m) a cloud is cut where the table is cut away."""
-BESIDE = 0.05
-"""So far outside the region (m) objects stay in such a cloud: they are still in the way."""
+BESIDE = 0.15
+"""So far outside the region (m) objects stay in such a cloud: grippers at its edge reach them."""
 
 CroppedFloor = Literal["known", "estimated"]
 PROTOCOLS: tuple[ProtocolName, ...] = ("binpick", "declutter", "single")
@@ -302,8 +302,10 @@ def _judge_samples(
     options: dict,
     outcome: SceneOutcome,
 ) -> None:
-    """Judge every sample from the restored state; all go through the whole sampler (mode fast)."""
-    result = planner.plan(
+    """Judge every sample from the restored state; all go through the whole sampler (mode fast),
+    and nothing moves them after that.
+    """
+    result = planner.raw().plan(
         cloud,
         num_grasps=settings.samples,
         drawn=settings.samples,

@@ -17,7 +17,6 @@ from megrasp_core.grippers import load_gripper
 from megrasp_core.machine import processor
 from megrasp_core.network import GraspModel, load_model
 from megrasp_core.objects import ObjectSet
-from megrasp_core.pointcloud import SceneSettings
 from megrasp_core.self_labelling.samples import SampleSettings, draw_poses, judge_poses, world_of
 from megrasp_core.storage import SceneDataset, SceneRecord
 from megrasp_core.training import (
@@ -159,7 +158,7 @@ def _losses(
         pairs,
         {name: rack.tokens(name) for name in names},
         config,
-        SceneSettings(),
+        model.info.scene,
         dataclasses.replace(NoiseSchedule.of(model.config), s_min=s_min),
         {name: rack.fold(name) for name in names},
     )

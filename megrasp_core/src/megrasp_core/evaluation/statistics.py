@@ -1,7 +1,9 @@
 """Rates with intervals (docs/architecture.md, "Rates").
 
 Samples of one scene share its luck, so their rate gets a cluster bootstrap over scenes; first
-grasps are nearly independent attempts and get Wilson's interval.
+grasps are nearly independent attempts and get Wilson's interval. Where drawing scenes again
+changes nothing, because there is one or all have the same rate, the bootstrap knows of no doubt,
+and Wilson's interval of the effective number of trials takes its place.
 """
 
 from __future__ import annotations
@@ -14,6 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm, rankdata
+
+SAME = 1e-9
+"""Rates that differ by less are the same."""
 
 
 @dataclass(frozen=True)
@@ -43,15 +48,18 @@ def wilson(successes: int, trials: int, level: float = 0.95) -> Rate:
     """Wilson's score interval of a binomial share."""
     if not trials:
         return Rate(0, 0, None)
+    return Rate(successes, trials, _wilson_interval(successes / trials, trials, level))
+
+
+def _wilson_interval(share: float, trials: float, level: float) -> tuple[float, float]:
     z = float(norm.ppf(0.5 + level / 2))
-    share = successes / trials
     middle = (share + z * z / (2 * trials)) / (1 + z * z / trials)
     half = (
         z
         / (1 + z * z / trials)
         * math.sqrt(share * (1 - share) / trials + z * z / (4 * trials**2))
     )
-    return Rate(successes, trials, (max(0.0, middle - half), min(1.0, middle + half)))
+    return max(0.0, middle - half), min(1.0, middle + half)
 
 
 def cluster_bootstrap(
@@ -63,6 +71,11 @@ def cluster_bootstrap(
     level: float = 0.95,
 ) -> Rate:
     """Percentile interval of the pooled rate when whole scenes are drawn again.
+
+    Where that has no width it is Wilson's: of as many trials as there are scenes, as if all of a
+    scene were one attempt, where there is one scene or no sample, or every one, succeeded; of all
+    trials where several scenes have the same rate in between, since samples of a scene are then
+    no more alike than those of two.
 
     Args:
         successes: per scene.
@@ -78,6 +91,10 @@ def cluster_bootstrap(
     totals = tried[index].sum(1)
     rates = won[index].sum(1)[totals > 0] / totals[totals > 0]
     low, high = np.quantile(rates, [0.5 - level / 2, 0.5 + level / 2])
+    if high - low < SAME:
+        share, scenes = won.sum() / tried.sum(), int((tried > 0).sum())
+        alike = scenes == 1 or share in (0, 1)
+        low, high = _wilson_interval(share, scenes if alike else int(tried.sum()), level)
     return Rate(int(won.sum()), int(tried.sum()), (float(low), float(high)))
 
 

@@ -44,7 +44,7 @@ class Explanation:
         trace: of the synthesis; None where it was refused.
         refusal: what was wrong with cloud or request, "" where nothing was.
         misses: the best near miss of each main reason.
-        calibration: what the score is made of; None without a confidence.
+        calibration: that the scores were made with; None where the cloud was refused.
     """
 
     cloud: Cloud
@@ -75,17 +75,17 @@ class Explanation:
         return tuple(dict.fromkeys(told))
 
     def terms(self, grasp: RankedGrasp) -> dict[str, float]:
-        """What each feature adds to the logit of a grasp's score; empty without a confidence."""
+        """What the logit of a grasp's score is the sum of: the bias, and what each feature adds;
+        empty without a confidence.
+        """
         if self.calibration is None or not np.isfinite(grasp.confidence):
             return {}
         features = logistic_features(
             *(np.array([v]) for v in
               (grasp.confidence, grasp.tilt, grasp.hidden_share, grasp.clearance))
         )[0]  # fmt: skip
-        return {
-            name: round(float(getattr(self.calibration, name) * value), 3)
-            for name, value in zip(FEATURES, features, strict=True)
-        }
+        added = zip(("bias", *FEATURES), (1.0, *features), strict=True)
+        return {name: round(getattr(self.calibration, name) * float(v), 3) for name, v in added}
 
 
 EMPTY = (
@@ -122,12 +122,12 @@ def explain(
         return refused(cloud, request, gripper, error)
     (trace,) = traces
     cloud = cloud.moved(-trace.offset)
-    settings = synthesizer.settings.ranking
+    settings = synthesizer.calibrated.ranking
     return Explanation(
         cloud,
         trace.request,
         gripper,
-        setup_findings(cloud, trace.request, trace.observation),
+        setup_findings(cloud, trace.request, trace.observation, trace.offset),
         answer,
         trace,
         misses=tuple(near_misses(trace, settings)),

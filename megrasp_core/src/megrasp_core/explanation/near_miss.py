@@ -13,8 +13,8 @@ from megrasp_core.synthesizer import Assessment, RankingSettings, Trace, promise
 
 __all__ = ["NearMiss", "near_misses"]
 
-NOT_MISSED = ("", "duplicate", "surplus")
-"""Outcomes of poses that pass."""
+NOT_MISSED = ("", "duplicate", "surplus", "unrefined")
+"""Outcomes of poses that nothing speaks against."""
 SIDES = ("-x", "+x", "-y", "+y")
 
 

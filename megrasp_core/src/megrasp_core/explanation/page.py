@@ -34,7 +34,8 @@ MEANINGS = {
     "excluded": "failed before",
     "score": "less than min_score",
     "duplicate": "repeats a better grasp",
-    "surplus": "good, but more were found than asked for, or others promised more",
+    "surplus": "good, but more were found than asked for",
+    "unrefined": "looked at coarsely only: others promised more",
 }
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 1180px; margin: 2em auto; padding: 0 1em;
@@ -230,7 +231,8 @@ def _grasps(explanation: Explanation) -> str:
         width = f"{1000 * grasp.width:.0f} mm" if np.isfinite(grasp.width) else "-"
         tilt = f"{np.degrees(grasp.tilt):.0f}&deg;" if np.isfinite(grasp.tilt) else "-"
         rows.append(
-            f"<tr><td>{rank}</td><td><b>{grasp.score:.2f}</b></td>"
+            f"<tr><td>{rank}</td>"
+            + cell(f"<b>{grasp.score:.2f}</b>", "bias")
             + cell(f"{grasp.confidence:.2f}", "confidence")
             + cell(f"{1000 * grasp.clearance:.1f} mm", "clearance")
             + cell(f"{100 * grasp.hidden_share:.1f} %", "hidden")
@@ -241,7 +243,8 @@ def _grasps(explanation: Explanation) -> str:
         "<h2>Why these grasps</h2><table><tr><th></th><th>score</th><th>confidence of the model"
         "</th><th>clearance</th><th>in unknown space</th><th>tilt</th><th>width</th></tr>"
         + "".join(rows)
-        + "</table><p class='small'>Small numbers: what each adds to the logit of the score.</p>"
+        + "</table><p class='small'>Small numbers: what each adds to the logit of the score, "
+        "which begins with the one beside the score.</p>"
     )
 
 

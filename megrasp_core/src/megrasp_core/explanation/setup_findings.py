@@ -54,7 +54,10 @@ class SetupFindings:
 
 
 def setup_findings(
-    cloud: Cloud, request: SynthesisRequest, observation: SceneObservation | None = None
+    cloud: Cloud,
+    request: SynthesisRequest,
+    observation: SceneObservation | None = None,
+    offset: FloatArray | None = None,
 ) -> SetupFindings:
     """Look for a region off the bin, a floor too high or too low, a sensor elsewhere.
 
@@ -62,13 +65,15 @@ def setup_findings(
         cloud: all of it.
         request: with region, floor, gravity.
         observation: what the synthesis took as seen, where it came so far.
+        offset: (3,) from these coordinates to those in which places are told (m); None: the same.
     """
-    told = [] if observation is None else sensor_doubt(observation)
+    told = [] if observation is None else sensor_doubt(observation, offset)
     found = None
     if request.region is not None and request.walls and request.gravity is not None:
         found = _bin_at(cloud, request, request.region)
         if found is not None:
-            told += _differences(found, request.region, -np.asarray(request.gravity))
+            up = -np.asarray(request.gravity)
+            told += _differences(found, request.region, up, offset)
     # What was already said of the bottom need not be said twice.
     if not any("its floor" in text for text in told):
         told += _floor(cloud, request)
@@ -106,7 +111,9 @@ def _bin_at(cloud: Cloud, request: SynthesisRequest, region: OrientedBox) -> Ori
     return OrientedBox(pose, np.array([*box.size[:2], depth]))
 
 
-def _differences(box: OrientedBox, region: OrientedBox, up: FloatArray) -> list[str]:
+def _differences(
+    box: OrientedBox, region: OrientedBox, up: FloatArray, origin: FloatArray | None
+) -> list[str]:
     given = region.upright(up)
     offset = given.rotation.T @ (box.centre - given.centre)
     told = []
@@ -129,9 +136,9 @@ def _differences(box: OrientedBox, region: OrientedBox, up: FloatArray) -> list[
         told.append(f"has its floor {1000 * abs(low):.0f} mm {where} the region's bottom")
     if not told:
         return []
-    pose = ", ".join(
-        f"{round(value, 4) + 0.0:g}" for value in pose7_from_matrix(box.world_from_box)
-    )
+    numbers = pose7_from_matrix(box.world_from_box)
+    numbers[:3] += 0.0 if origin is None else origin
+    pose = ", ".join(f"{round(value, 4) + 0.0:.10g}" for value in numbers)
     size = ", ".join(f"{edge:.3f}" for edge in box.size)
     return [
         f"the bin that the cloud shows {', '.join(told)}: the region does not fit it. Give "

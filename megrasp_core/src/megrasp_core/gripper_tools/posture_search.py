@@ -19,15 +19,15 @@ import numpy as np
 from megrasp_core.errors import CancelledError, SimulationError
 from megrasp_core.jobs import ExecutorConfig, run_units
 from megrasp_core.library import cached_gripper
+from megrasp_core.objects import ObjectSeeds
 from megrasp_core.ranges import COUNT, FROM_ONE, POSITIVE, check_ranges
 
 from .posture_space import PostureSpace
 from .posture_trials import Offsets, Tally, Task, TrialMemory, measure
 
-SEARCH_SEED = 1_100_000
-HELD_OUT_SEED = 1_200_000
-"""First procedural objects of the search and of the final measurement; neither training nor
-evaluation draws from these seeds."""
+SEARCH_SEED = ObjectSeeds.POSTURE_SEARCH.start
+HELD_OUT_SEED = ObjectSeeds.POSTURE_MEASUREMENT.start
+"""First procedural objects of the search and of the final measurement."""
 
 KEPT = 3
 """One in this many variations goes on to as many times the objects."""

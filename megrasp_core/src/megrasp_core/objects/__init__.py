@@ -26,6 +26,7 @@ from .preparation import (
     prepare_objects,
 )
 from .procedural import generate_objects, procedural_object
+from .seeds import ObjectSeeds
 from .solids import Solid, box, mass_properties, stack, volume_of
 
 __all__ = [
@@ -37,6 +38,7 @@ __all__ = [
     "OBJECT_KINDS",
     "OBSTACLE_KINDS",
     "ObjectModel",
+    "ObjectSeeds",
     "ObjectSet",
     "PrepareSettings",
     "PrepareSummary",

@@ -23,6 +23,7 @@ from .assets import asset_objects
 from .folder import load_object
 from .model import ObjectModel
 from .procedural import procedural_object
+from .seeds import ObjectSeeds
 
 _ASSET = "asset/"
 _PROCEDURAL = "procedural/"
@@ -149,13 +150,9 @@ def training_objects(procedural: int = 60, *, assets: bool = True) -> ObjectSet:
     return ObjectSet([*(asset_names("train") if assets else []), *procedural_names(procedural)])
 
 
-VALIDATION_SEED = 900_000
-"""Of the first procedural object for validation; training draws from seed 0 on."""
-
-
 def validation_objects(procedural: int = 60, *, assets: bool = True) -> ObjectSet:
     """Objects that training never sees: the validation tenth of the scans (where MEGRASP_ASSETS is
     set) and procedural objects of other seeds.
     """
     names = asset_names("validation") if assets else []
-    return ObjectSet([*names, *procedural_names(procedural, VALIDATION_SEED)])
+    return ObjectSet([*names, *procedural_names(procedural, ObjectSeeds.VALIDATION.start)])

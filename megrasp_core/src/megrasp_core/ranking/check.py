@@ -40,11 +40,12 @@ REASONS = (
     "score",
     "duplicate",
     "surplus",
+    "unrefined",
 )
 """Why a drawn grasp was not returned. `sweep`: the fingers would hit something while they close;
 `object`: it grasps another object than the one asked for; `score`: less than the least score;
-`surplus`: it passed, but more were asked for than are returned, or it was not among those that
-went through the restarts."""
+`surplus`: it passed, but more were found than asked for; `unrefined`: nothing coarse speaks
+against it, but others promised more and went through the restarts and the whole check."""
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,15 @@ states that executing them leads to: half-empty bins, obstacles, what failed bef
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 
 from megrasp_core.cell.pick_cycle import PickCycle
-from megrasp_core.errors import EmptyRegionError, SimulationError
+from megrasp_core.errors import EmptyRegionError, InvalidRequestError, SimulationError
+from megrasp_core.jobs import versions
 from megrasp_core.lie import pose7_from_matrix
 from megrasp_core.objects import ObjectSet
 from megrasp_core.pointcloud import Cloud, surface_cloud
@@ -36,6 +38,8 @@ from megrasp_core.storage import (
     scene_name,
 )
 from megrasp_core.synthesizer import GraspSynthesizer, RankedGrasp
+
+LOGGER = logging.getLogger(__name__)
 
 STAGES = 100
 """Seeds of the records of one scene: seed * STAGES + stage."""
@@ -68,6 +72,14 @@ class RolloutSettings:
     max_failures: int = 3
     drawn: int = 100
     scenes: SceneConfig = IN_BINS
+
+
+@dataclasses.dataclass(frozen=True)
+class RolloutSummary:
+    """What `label_rollouts` did: stages written, and scenes that failed."""
+
+    stages: int
+    failed: int
 
 
 def roll_out(
@@ -112,7 +124,8 @@ def roll_out(
             keep_all=True,
         ).grasps
         passing = [grasp for grasp in grasps if grasp.collision_free]
-        others = [grasp for grasp in grasps if not grasp.collision_free]
+        # What was never refined comes out of no synthesis.
+        others = [g for g in grasps if not g.collision_free and g.reason != "unrefined"]
         chosen = passing[: settings.judged]
         if others:
             picked = rng.permutation(len(others))[: settings.rejected]
@@ -140,7 +153,7 @@ def label_rollouts(
     settings: RolloutSettings | None = None,
     *,
     on_scene: Callable[[int, int, int], None] | None = None,
-) -> int:
+) -> RolloutSummary:
     """Write the stages of many scenes as a data set; resumable scene by scene.
 
     Args:
@@ -152,35 +165,46 @@ def label_rollouts(
         on_scene: called with the seed, and successes and labels so far.
 
     Returns:
-        Number of stages written.
+        What was done. Scenes that failed are told in the log; run it again to try them again.
+
+    Raises:
+        DataError: `out` holds rollouts of another model, gripper, settings or objects.
+        InvalidRequestError: no gripper is set.
     """
-    settings = settings or RolloutSettings()
+    settings, gripper = settings or RolloutSettings(), synthesizer.gripper
+    if gripper is None:
+        raise InvalidRequestError("no gripper is set; expected one. Call set_gripper first.")
     facts = {
         "rollouts_of": synthesizer.model.model_id,
         "weights": synthesizer.model.info.sha256,
         "settings": dataclasses.asdict(settings),
+        "objects": list(objects.names),
+        "grippers": {gripper.name: gripper.hash},
+        "versions": versions(),
     }
     writer = SceneWriter(Path(out), facts)
-    written = won = tried = 0
+    stages = failed = won = tried = 0
     try:
         for seed in seeds:
             if seed * STAGES in writer:
                 continue
             try:
                 records = roll_out(seed, synthesizer, objects, settings)
-            except (SimulationError, EmptyRegionError):
-                continue
+            except (SimulationError, EmptyRegionError) as error:
+                LOGGER.warning("scene %d was left out: %s", seed, error)
+                records = []
+                failed += 1
             # The first stage marks the scene as done, so it goes last.
             for record in reversed(records):
                 writer.add(record)
                 won += sum(int(part.label.sum()) for part in record.labels.values())
                 tried += sum(len(part) for part in record.labels.values())
-            written += len(records)
+            stages += len(records)
             if on_scene is not None:
                 on_scene(seed, won, tried)
     finally:
         writer.close()
-    return written
+    return RolloutSummary(stages, failed)
 
 
 def _seen(

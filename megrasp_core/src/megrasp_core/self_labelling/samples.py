@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from megrasp_core.diffusion import NoiseSchedule, SamplerSettings, last_step, sample_steps
 from megrasp_core.grippers import Gripper, load_gripper
+from megrasp_core.jobs import versions
 from megrasp_core.lie import matrix_from_pose7
 from megrasp_core.network import GraspModel
 from megrasp_core.objects import ObjectSet
-from megrasp_core.pointcloud import SceneSettings
 from megrasp_core.simulation import (
     START_DEPTH,
+    Reason,
     World,
     approach_path,
     build_world,
@@ -33,7 +34,7 @@ from megrasp_core.storage import (
     SceneRecord,
     SceneWriter,
 )
-from megrasp_core.synthesizer import draw_starts
+from megrasp_core.synthesizer import denoiser, draw_starts
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,18 +66,15 @@ def draw_poses(
     record: SceneRecord, model: GraspModel, gripper: Gripper, settings: SampleSettings
 ) -> np.ndarray:
     """Sample `(n, 4, 4)` world_from_tcp for a stored scene."""
-    nodes = record.nodes(SceneSettings())
+    sampler = settings.sampler or model.info.sampler
+    nodes = record.nodes(model.info.scene)
     field = model.encode_scene(nodes)
     code = model.encode_gripper(gripper.tokens(model.config.gripper_tokens, seed=0))
     schedule = NoiseSchedule.of(model.config)
     generator = torch.Generator(model.device).manual_seed(settings.seed * 1_000_003 + record.seed)
     starts = draw_starts(model, field, code, settings.samples, generator)
     steps = sample_steps(
-        lambda poses, s: model.predict(field, code, poses, s).residual,
-        starts,
-        settings.sampler or model.info.sampler,
-        schedule,
-        generator,
+        denoiser(model, field, code, sampler), starts, sampler, schedule, generator
     )
     last = last_step(steps).poses
     poses = np.tile(np.eye(4), (settings.samples, 1, 1))
@@ -111,7 +109,8 @@ def judge_poses(
     world_from_gripper: NDArray[np.float64] = np.asarray(
         world_from_tcp @ gripper.tcp_from_gripper, np.float64
     )
-    depth = start_depths(world, world_from_gripper)
+    start = start_depths(world, world_from_gripper)
+    depth = start.copy()
     if world.bin is not None:
         for index in np.flatnonzero(depth <= settings.max_depth):
             back = world_from_gripper[index].copy()
@@ -131,7 +130,9 @@ def judge_poses(
         rows.append((index, owner, int(verdict.success), reason, verdict.extra))
     for index in hit:
         nearest = int(np.linalg.norm(centres - world_from_tcp[index, :3, 3], axis=1).argmin())
-        rows.append((index, nearest, 0, "start_collision", NOT_TRIED))
+        at_start = start[index] > settings.max_depth
+        reason = Reason.START_COLLISION if at_start else Reason.APPROACH_COLLISION
+        rows.append((index, nearest, 0, reason.value, NOT_TRIED))
     chosen = np.array([row[0] for row in rows], dtype=int)
     return GripperLabels.of(
         world_from_tcp[chosen],
@@ -168,6 +169,9 @@ def label_samples(
 
     Returns:
         Number of scenes written.
+
+    Raises:
+        DataError: `out` holds samples of another model, gripper or settings.
     """
     dataset = SceneDataset(data)
     rack = [load_gripper(name) for name in grippers]
@@ -177,6 +181,8 @@ def label_samples(
             "samples_of": model.model_id,
             "weights": model.info.sha256,
             "settings": dataclasses.asdict(settings),
+            "grippers": {gripper.name: gripper.hash for gripper in rack},
+            "versions": versions(),
         },
     )
     wanted = list(range(len(dataset)) if indices is None else indices)

@@ -7,16 +7,17 @@ from .poses import PoseSet, pose_set
 from .repairs import backed_off
 from .request import MAX_DRAWN, MAX_GRASPS, Mode, SynthesisRequest
 from .result import RankedGrasp, Synthesis
-from .sampling import draw_starts
+from .sampling import denoiser, draw_starts
 from .scene_judge import Assessment, SceneJudge, seen_plane
 from .selection import rank_poses
-from .settings import PolishSettings, RankingSettings, Stage, SynthesizerSettings
+from .settings import REPAIRS, PolishSettings, RankingSettings, Stage, SynthesizerSettings
 from .synthesizer import GraspSynthesizer
 from .trace import Trace
 
 __all__ = [
     "MAX_DRAWN",
     "MAX_GRASPS",
+    "REPAIRS",
     "Assessment",
     "GraspSynthesizer",
     "Mode",
@@ -32,6 +33,7 @@ __all__ = [
     "SynthesizerSettings",
     "Trace",
     "backed_off",
+    "denoiser",
     "draw_starts",
     "perceive",
     "pose_set",

@@ -26,6 +26,7 @@ def hints(
     observation: SceneObservation,
     probe: GripperProbe,
     request: SynthesisRequest,
+    offset: np.ndarray | None = None,
 ) -> tuple[str, ...]:
     """Sentences on the reasons that most poses failed for, the most frequent first; before them
     that the sensor is in the wrong place, where so much speaks for it.
@@ -35,6 +36,7 @@ def hints(
         observation: what was seen.
         probe: of the gripper.
         request: what was asked for.
+        offset: (3,) from these coordinates to those in which places are told (m); None: the same.
     """
     reason = np.concatenate([part.check.reason[rows] for part, rows in parts])
     total, found = len(reason), []
@@ -79,7 +81,7 @@ def hints(
         found.append((count, f"{count} of {total} poses {text}"))
     told = [text for _, text in sorted(found, key=lambda entry: -entry[0])]
     if {"unseen", "collision"} & set(names[counts >= WORTH_TELLING * total]):
-        told = sensor_doubt(observation) + told
+        told = sensor_doubt(observation, offset) + told
     return tuple(told)
 
 
@@ -201,9 +203,13 @@ def _outside(observation: SceneObservation, tcp: np.ndarray) -> str:
     )
 
 
-def sensor_doubt(observation: SceneObservation) -> list[str]:
+def sensor_doubt(observation: SceneObservation, offset: np.ndarray | None = None) -> list[str]:
     """A sentence where much of the cloud hides behind the rest, seen from where the sensor is said
     to be; else none.
+
+    Args:
+        observation: what was seen.
+        offset: (3,) from its coordinates to those in which the sensor is told (m); None: the same.
     """
     hidden = float(
         np.mean(observation.signed_depth(observation.surface_points) > observation.settings.shell)
@@ -211,7 +217,8 @@ def sensor_doubt(observation: SceneObservation) -> list[str]:
     if hidden < HIDDEN:
         return []
     places = "; ".join(
-        " ".join(f"{value:.2f}" for value in image.sensor) for image in observation.images
+        " ".join(f"{value:.2f}" for value in image.sensor + (0.0 if offset is None else offset))
+        for image in observation.images
     )
     return [
         f"{100 * hidden:.0f} % of the cloud cannot have been seen from the sensor at {places}: "

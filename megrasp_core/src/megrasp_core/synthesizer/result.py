@@ -28,7 +28,7 @@ class RankedGrasp:
         width: extent of what is between the fingers along X (m); NaN where undefined.
         clearance: distance of the open gripper to the nearest seen point or wall (m).
         tilt: angle between gripper +Z and gravity (rad); NaN where gravity is not known.
-        collision_free: the grasp passed the check.
+        collision_free: the grasp passed the whole check.
         reason: why it did not, "" where it did.
         confidence: the model's, before the check had its say; NaN without that head.
         hidden_share: share of the open gripper that lies where nothing was seen.

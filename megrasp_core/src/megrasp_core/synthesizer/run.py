@@ -29,14 +29,13 @@ from megrasp_core.ranking import rejection_counts
 
 from .assessor import Assessor, MountedGripper
 from .hints import hints
-from .parts import in_parts
 from .perception import Perceived, perceive
 from .polish import polish, with_rows
 from .poses import PoseSet, pose_set, world_from_tcp
 from .repairs import backed_off, turned_over
 from .request import SynthesisRequest
 from .result import RankedGrasp, Synthesis
-from .sampling import draw_starts
+from .sampling import denoiser, draw_starts
 from .scene_judge import Assessment
 from .selection import rank_poses
 from .settings import SynthesizerSettings
@@ -80,13 +79,18 @@ class SynthesisRun:
         cancelled: Cancelled | None = None,
         at_once: int | None = None,
         threads: int = 1,
+        offset: np.ndarray | None = None,
     ) -> None:
+        """Take everything in; `offset` (3,): from the coordinates of the request to those in
+        which hints name places (m), the rest as of `GraspSynthesizer`.
+        """
         self.model, self.schedule, self.sampler = model, schedule, sampler
         self.settings, self.scene_settings = settings, scene_settings
         self.mounted, self.request = mounted, request
         self.on_step, self.on_poses, self.cancelled = on_step, on_poses, cancelled
         self.on_trace = on_trace
         self.at_once, self.threads = at_once, threads
+        self.offset = offset
         self.centroid = np.zeros(3)
         self.timing: dict[str, float] = {}
         self.notes: tuple[str, ...] = ()
@@ -128,11 +132,13 @@ class SynthesisRun:
                 poses = poses.part(torch.as_tensor(best, device=poses.device))
             poses = refined = self._refine(field, poses)
         with self._phase("rank"):
-            final = backed_off(assessor.samples(poses), assessor.poses, ranking.sweep)
+            final = assessor.samples(poses)
+            if self.settings.back_off:
+                final = backed_off(final, assessor.poses, ranking.sweep)
             final = self._polished(assessor, final)
             grasps, rejected = rank_poses(final, self.mounted.probe, request, ranking, left_out)
             parts = [(final, np.arange(len(final))), *([left_out] if left_out else [])]
-            told = hints(parts, seen.judge.observation, self.mounted.probe, request)
+            told = hints(parts, seen.judge.observation, self.mounted.probe, request, self.offset)
             self._trace(seen, starts, (descended, refined), final, left_out)
         return self._answer(grasps, rejected, start, told=told)
 
@@ -198,16 +204,7 @@ class SynthesisRun:
             return last_step(later, self._report, self.cancelled).poses
 
     def _denoiser(self, field: SceneField) -> Denoise:
-        def some(poses: PoseBatch, s: Tensor) -> Tensor:
-            found = self.model.predict(field, self.mounted.code, poses, s)
-            if self.sampler.uses_score:
-                return torch.cat([found.residual[:, :3], found.score], dim=-1)
-            return found.residual
-
-        def denoise(poses: PoseBatch, s: Tensor) -> Tensor:
-            return in_parts(lambda rows: some(poses.part(rows), s[rows]), len(poses), self.at_once)
-
-        return denoise
+        return denoiser(self.model, field, self.mounted.code, self.sampler, self.at_once)
 
     def _trace(
         self,

@@ -1,5 +1,5 @@
-"""Where the samples start: nodes at which a grasp is likely, or any node that is not on the
-support plane.
+"""Where the samples start, nodes at which a grasp is likely, or any node that is not on the
+support plane; and what the sampler asks of the network.
 """
 
 from __future__ import annotations
@@ -7,9 +7,13 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from megrasp_core.diffusion import Denoise, SamplerSettings
+from megrasp_core.lie import PoseBatch
 from megrasp_core.network import GraspModel, GripperCode, SceneField
 
-__all__ = ["draw_starts"]
+from .parts import in_parts
+
+__all__ = ["denoiser", "draw_starts"]
 
 UNIFORM_SHARE = 0.2
 """Share of the starts that are drawn uniformly even with graspability: coverage comes from the
@@ -51,3 +55,33 @@ def draw_starts(
     index = torch.multinomial(probability, count, replacement=True, generator=generator)
     keep = torch.rand(count, generator=generator, device=fine.device) < UNIFORM_SHARE
     return torch.where(keep[:, None], uniform, scene.points[1][index])
+
+
+def denoiser(
+    model: GraspModel,
+    scene: SceneField,
+    code: GripperCode,
+    sampler: SamplerSettings,
+    at_once: int | None = None,
+) -> Denoise:
+    """What the steps of a sampler ask of a model: its residual, or with samplers that follow the
+    score its rotation score beside the residual's translation.
+
+    Args:
+        model: of the scene and the gripper.
+        scene: encoded scene.
+        code: encoded gripper.
+        sampler: whose steps ask.
+        at_once: poses that the network takes at a time; None: all.
+    """
+
+    def some(poses: PoseBatch, s: Tensor) -> Tensor:
+        found = model.predict(scene, code, poses, s)
+        if sampler.uses_score:
+            return torch.cat([found.residual[:, :3], found.score], dim=-1)
+        return found.residual
+
+    def denoise(poses: PoseBatch, s: Tensor) -> Tensor:
+        return in_parts(lambda rows: some(poses.part(rows), s[rows]), len(poses), at_once)
+
+    return denoise

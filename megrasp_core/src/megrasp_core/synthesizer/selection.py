@@ -13,6 +13,9 @@ from .settings import RankingSettings
 
 __all__ = ["rank_poses"]
 
+PASSED = ("", "duplicate", "surplus")
+"""Reasons of poses that passed the whole check."""
+
 
 def rank_poses(
     assessed: Assessment,
@@ -48,7 +51,7 @@ def rank_poses(
     reasons = check.reason
     if left_out is not None:
         others, index = left_out
-        others.check.reason[index[others.check.reason[index] == ""]] = "surplus"
+        others.check.reason[index[others.check.reason[index] == ""]] = "unrefined"
         reasons = np.concatenate([reasons, others.check.reason[index]])
         failed.append(left_out)
     if request.keep_all:
@@ -71,10 +74,10 @@ def _in_order(assessed: Assessment, rows: np.ndarray, request: SynthesisRequest)
 
 
 def _better_first(assessed: Assessment, index: np.ndarray) -> np.ndarray:
-    """Repeats of a good grasp and poses that nobody had room for, then those that fail, each by
-    score.
+    """Repeats of a good grasp and poses that nobody had room for, or that were not refined, then
+    those that fail, each by score.
     """
-    failing = ~np.isin(assessed.check.reason[index], ("duplicate", "surplus"))
+    failing = ~np.isin(assessed.check.reason[index], (*PASSED, "unrefined"))
     return index[np.lexsort((-assessed.score[index], failing))]
 
 
@@ -91,7 +94,7 @@ def _grasp(assessed: Assessment, i: int) -> RankedGrasp:
         width=float("nan") if contacts is None else float(contacts.width[i]),
         clearance=float(check.clearance[i]),
         tilt=float(check.tilt[i]),
-        collision_free=reason in ("", "duplicate", "surplus"),
+        collision_free=reason in PASSED,
         reason=reason,
         confidence=float("nan") if confidence is None else float(confidence[i]),
         hidden_share=float(check.hidden_share[i]),

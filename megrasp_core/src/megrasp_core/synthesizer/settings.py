@@ -18,11 +18,14 @@ from megrasp_core.ranking import (
     SweepSettings,
 )
 
-__all__ = ["PolishSettings", "RankingSettings", "Stage", "SynthesizerSettings"]
+__all__ = ["REPAIRS", "PolishSettings", "RankingSettings", "Stage", "SynthesizerSettings"]
 
 
-Stage = Literal["openings", "sweep", "turns", "polish"]
+Stage = Literal["openings", "sweep", "turns", "back_off", "polish"]
 """What `SynthesizerSettings.without` can leave out."""
+
+REPAIRS: tuple[Stage, ...] = ("turns", "back_off", "polish")
+"""Stages that move samples."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +96,7 @@ class SynthesizerSettings:
         sampler: denoiser evaluations and restarts; None: as the model says.
         polish: local search about the best samples in mode `default`.
         turns: grasps from below or in collision from the side are tried from the other side.
+        back_off: grasps whose fingers hit something while they close are tried further back.
         refined: poses that go through the restarts in mode `default` on a CPU; on a GPU all do.
         ranking: check, contacts, score.
         probe: how densely the gripper is sampled for the check.
@@ -103,6 +107,7 @@ class SynthesizerSettings:
     sampler: SamplerSettings | None = None
     polish: PolishSettings = field(default_factory=PolishSettings)
     turns: bool = True
+    back_off: bool = True
     refined: int = 40
     ranking: RankingSettings = field(default_factory=RankingSettings)
     probe: ProbeSettings = field(default_factory=ProbeSettings)
@@ -126,6 +131,8 @@ class SynthesizerSettings:
             changed = replace(changed, ranking=replace(changed.ranking, sweep=sweep))
         if "turns" in stages:
             changed = replace(changed, turns=False)
+        if "back_off" in stages:
+            changed = replace(changed, back_off=False)
         if "polish" in stages:
             changed = replace(changed, polish=replace(changed.polish, candidates=0))
         return changed

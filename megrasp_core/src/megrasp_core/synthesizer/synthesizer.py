@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from megrasp_core.diffusion import NoiseSchedule, SamplerSettings
-from megrasp_core.errors import InvalidRequestError
+from megrasp_core.errors import EmptyRegionError, InvalidRequestError, SensorPlaceError
 from megrasp_core.grippers import Gripper, load_gripper
 from megrasp_core.network import DefaultModels, GraspModel, load_model
 from megrasp_core.pointcloud import Cloud, SceneSettings, check_view
@@ -135,6 +135,18 @@ class GraspSynthesizer:
         """What the check uses of the gripper."""
         return self._mounted.probe if self._mounted else None
 
+    @property
+    def calibrated(self) -> SynthesizerSettings:
+        """The settings with the calibration that the model's config.json states for the gripper,
+        unless they bring their own: what every score is made with.
+        """
+        rank, gripper = self.settings.ranking.rank, self.gripper
+        if gripper is None or rank.calibration is not None:
+            return self.settings
+        stated = self.model.info.calibration_for(gripper.name, gripper.description.kind)
+        ranking = replace(self.settings.ranking, rank=replace(rank, calibration=stated))
+        return replace(self.settings, ranking=ranking)
+
     def set_gripper(self, gripper: Gripper | str | Path) -> Gripper:
         """Encode a gripper, or take it from the cache, and use it from now on.
 
@@ -207,7 +219,7 @@ class GraspSynthesizer:
             gravity=request.gravity,
             region=request.region,
         )
-        offset = _far_origin(cloud)
+        offset, given = _far_origin(cloud), (cloud, request)
         if offset.any():
             cloud, request = cloud.moved(-offset), request.moved(-offset)
             if on_poses is not None:
@@ -215,7 +227,7 @@ class GraspSynthesizer:
             if on_trace is not None:
                 on_trace = _with_offset(on_trace, offset)
         threads = self.threads or torch.get_num_threads()
-        with self._running():
+        with self._running(), self._told_as(*given, offset):
             result = SynthesisRun(
                 self.model,
                 self._mounted,
@@ -223,13 +235,14 @@ class GraspSynthesizer:
                 schedule=NoiseSchedule.of(self.model.config),
                 sampler=self.sampler,
                 scene_settings=self.scene_settings,
-                settings=_calibrated(self.settings, self.model, self._mounted.gripper),
+                settings=self.calibrated,
                 on_step=on_step,
                 on_poses=on_poses,
                 on_trace=on_trace,
                 cancelled=cancelled,
                 at_once=at_once,
                 threads=threads,
+                offset=offset,
             ).run(cloud)
         if offset.any():
             result = replace(result, grasps=[grasp.moved(offset) for grasp in result.grasps])
@@ -250,12 +263,12 @@ class GraspSynthesizer:
             raise InvalidRequestError("no gripper is set; expected one. Call set_gripper first.")
         request = SynthesisRequest.of(**options)
         tcp = np.array(world_from_tcp, dtype=np.float64)
-        offset = _far_origin(cloud)
+        offset, given = _far_origin(cloud), (cloud, request)
         if offset.any():
             cloud, request = cloud.moved(-offset), request.moved(-offset)
             tcp[:, :3, 3] -= offset
-        with self._running():
-            seen = perceive(cloud, request, self.scene_settings, self.settings.ranking)
+        with self._running(), self._told_as(*given, offset):
+            seen = perceive(cloud, request, self.scene_settings, self.calibrated.ranking)
             field = self.model.encode_scene(seen.nodes)
             found = Assessor(self.model, self._mounted, seen, field).poses(tcp)
         return replace(found, poses=found.poses.moved(offset)) if offset.any() else found
@@ -267,6 +280,20 @@ class GraspSynthesizer:
         """
         with torch_threads(1), torch.inference_mode():
             yield
+
+    @contextmanager
+    def _told_as(
+        self, cloud: Cloud, request: SynthesisRequest, offset: np.ndarray
+    ) -> Iterator[None]:
+        """Errors that name places name them in the frame of the cloud as it was given, which is
+        looked at once more for that.
+        """
+        try:
+            yield
+        except (EmptyRegionError, SensorPlaceError):
+            if offset.any():
+                perceive(cloud, request, self.scene_settings, self.settings.ranking)
+            raise
 
 
 def _moved_back(on_poses: OnPoses, offset: np.ndarray) -> OnPoses:
@@ -282,17 +309,3 @@ def _far_origin(cloud: Cloud) -> np.ndarray:
     points = cloud.finite().points
     middle = np.median(points, axis=0) if len(points) else np.zeros(3)
     return np.round(middle) if np.linalg.norm(middle) > FAR else np.zeros(3)
-
-
-def _calibrated(
-    settings: SynthesizerSettings, model: GraspModel, gripper: Gripper
-) -> SynthesizerSettings:
-    """The settings with the calibration that `config.json` states for the gripper, unless they
-    bring their own.
-    """
-    stated = model.info.calibration_for(gripper.name, gripper.description.kind)
-    ranking = settings.ranking
-    if stated is None or ranking.rank.calibration is not None:
-        return settings
-    rank = replace(ranking.rank, calibration=stated)
-    return replace(settings, ranking=replace(ranking, rank=rank))

@@ -64,7 +64,7 @@ def rollouts(
             if bar.disable and (number - seed) % 5 == 4:
                 say(f"{number - seed + 1}/{bins} scenes, {won} successes of {tried} labels")
 
-        written = label_rollouts(
+        done = label_rollouts(
             out,
             GraspSynthesizer.load(model, gripper, threads=threads),
             training_objects(procedural),
@@ -72,5 +72,6 @@ def rollouts(
             RolloutSettings(judged=judged, drawn=drawn, scenes=ON_TABLES if tables else IN_BINS),
             on_scene=tell,
         )
-    say(f"wrote {written} stages to {out}")
-    return 0
+    lost = f"; {done.failed} of {bins} scenes failed" if done.failed else ""
+    say(f"wrote {done.stages} stages to {out}{lost}")
+    return 0 if done.stages or not done.failed else 1
