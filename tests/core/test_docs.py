@@ -4,6 +4,7 @@ runs.
 
 from __future__ import annotations
 
+import ast
 import importlib
 import os
 import re
@@ -111,3 +112,24 @@ def _exists(dotted: str) -> bool:
         module, _, name = dotted.rpartition(".")
         return bool(module) and hasattr(importlib.import_module(module), name)
     return True
+
+
+def described(file: Path) -> Iterator[str]:
+    """Every docstring of a file, those after constants included."""
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            yield str(node.value.value)
+
+
+@pytest.mark.parametrize("package", ["megrasp_core/src", "megrasp_ros/megrasp_ros"])
+def test_files_that_docstrings_name_are_there(package: str) -> None:
+    folders = ("docs", "launch_scripts", "megrasp_core/src", "megrasp_ros/megrasp_ros", "tests")
+    there = [f"/{path.relative_to(ROOT)}" for name in folders for path in (ROOT / name).rglob("*")]
+    missing = [
+        f"{file.relative_to(ROOT)}: {name}"
+        for file in sorted((ROOT / package).rglob("*.py"))
+        for text in described(file)
+        for name in re.findall(r"(?<![\w*<])(?:[a-z_][\w/]*\.py|docs/[\w/-]+\.md)\b", text)
+        if not any(path.endswith(f"/{name}") for path in there)
+    ]
+    assert not missing

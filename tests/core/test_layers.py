@@ -19,7 +19,7 @@ import megrasp_core
 
 SOURCE = Path(megrasp_core.__file__).parent
 LAYERS = (
-    {"lie", "meshes", "jobs", "errors", "limits", "machine"},
+    {"lie", "meshes", "jobs", "errors", "limits", "machine", "ranges"},
     {"grippers", "objects", "pointcloud"},
     {"ranking", "diffusion", "network", "storage", "simulation"},
     {"cell", "drawing", "synthesizer", "scenes", "library"},

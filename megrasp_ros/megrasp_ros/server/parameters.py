@@ -119,16 +119,15 @@ def declare_flange(node: Node, gripper: str) -> None:
 
 
 def flange_from_gripper(node: Node, gripper: Gripper) -> NDArray[np.float64]:
-    """Return (4, 4): the parameter if it was given, else what the description says, else the
-    identity.
+    """Return (4, 4): the parameter if it was given, else what the description says, which is the
+    identity where it says nothing.
     """
     name = FLANGE_PREFIX + gripper.name
     declare_flange(node, gripper.name)
     numbers: Any = node.get_parameter(name).value
     if any(numbers):
         return matrix_from_numbers(numbers, name)
-    described = gripper.description.flange_from_gripper
-    return np.eye(4) if described is None else described.matrix()
+    return gripper.description.flange_from_gripper.matrix()
 
 
 def _checked(node: Node, changed: list[Parameter], live: LiveCheck) -> SetParametersResult:

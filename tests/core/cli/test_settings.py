@@ -44,9 +44,9 @@ def test_values_take_the_type_of_their_field():
         ("nearest_copy=3", "expected a value like False"),
         ("train_only=tails", "expected a value like 'all'"),
         ("seed=[", "expected a value like 1"),
-        ("total_poses=0", "total_poses 0 was given; expected counts of at least 1"),
+        ("total_poses=0", "total_poses 0 was given; expected a whole number from 1"),
         ("learning_rate=fast", "expected a value like 0.001"),
-        ("sampler.steps=0", "got steps=0"),
+        ("sampler.steps=0", "steps 0 was given"),
     ],
 )
 def test_wrong_changes_say_what_is_right(change, message):

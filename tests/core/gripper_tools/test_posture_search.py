@@ -127,7 +127,7 @@ def test_search_goes_on_where_it_was_stopped(
 
 def test_wrong_settings() -> None:
     """Numbers that make no search are named."""
-    with pytest.raises(InvalidRequestError, match="variants is 0"):
+    with pytest.raises(InvalidRequestError, match="variants 0"):
         PostureSearchSettings(variants=0)
     with pytest.raises(InvalidRequestError, match="scale -1"):
         PostureSearchSettings(scale=-1)

@@ -22,7 +22,7 @@ from megrasp_core.library import (
     pack_library,
     write_grasp_set,
 )
-from megrasp_core.library.grasp_library import thinned
+from megrasp_core.library.grasp_library import with_few_failures
 from megrasp_core.objects import ObjectSet, balanced_shares, procedural_names
 from megrasp_core.objects.object_set import SIZE_EDGES
 from megrasp_core.scenes import read_recipes, write_recipes
@@ -90,7 +90,7 @@ def test_the_size_limit_is_kept(tmp_path):
 
 def test_thinning_keeps_successes_and_some_failures():
     entry = grasp_set("jaw", "a", 100, 4)
-    thin = thinned(entry, 5)
+    thin = with_few_failures(entry, 5)
     assert thin.success.sum() == entry.success.sum()
     assert (~thin.success).sum() == 5
     np.testing.assert_array_equal(thin.successes, entry.successes)

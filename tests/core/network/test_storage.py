@@ -130,7 +130,7 @@ def test_grippers_of_the_training_have_the_calibration_of_their_kind(folder):
         ("data_scenes", "many", r"data_scenes = 'many'; expected a whole number"),
         ("sampler", {"steps": "ten"}, r"'sampler' has steps = 'ten'; expected a whole number"),
         ("sampler", {"kind": "euler"}, r"'sampler' has kind = 'euler'.*ancestral"),
-        ("sampler", {"steps": 0}, "expected at least 1"),
+        ("sampler", {"steps": 0}, "expected a whole number from 1"),
         ("scene", {"voxels": 0.004}, r"'scene' has unknown entries \['voxels'\].*'voxel'"),
         ("scene", 4, "'scene' is 4; expected a mapping"),
         ("calibration", {"bias": "much"}, "bias = 'much'; expected a number"),

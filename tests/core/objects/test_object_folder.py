@@ -19,7 +19,6 @@ from megrasp_core.objects import (
     asset_objects,
     generate_objects,
     is_validation,
-    load_asset_objects,
     load_object,
     load_objects,
     procedural_object,
@@ -255,10 +254,7 @@ def test_missing_assets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 @needs_assets
 def test_real_assets() -> None:
-    validation = load_asset_objects("validation")
-    assert [m.name for m in validation] == [
-        f"{p.parent.name}/{p.name}" for p in asset_objects("validation")
-    ]
+    validation = [load_object(p, f"{p.parent.name}/{p.name}") for p in asset_objects("validation")]
     assert len(asset_objects("train")) + len(validation) == 119
     assert len(asset_objects("devtest")) == 48
     for model in validation:

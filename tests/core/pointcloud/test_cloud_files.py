@@ -151,3 +151,18 @@ def test_a_missing_file_prints_nothing(tmp_path: Path, capfd: pytest.CaptureFixt
         read_cloud(tmp_path / "x.pcd")
     out, err = capfd.readouterr()
     assert out == "" and err == ""
+
+
+@pytest.mark.parametrize("suffix", [".pcd", ".ply", ".npz", ".npy"])
+@pytest.mark.parametrize("binary", [True, False])
+def test_places_on_a_map_keep_their_millimetres(tmp_path, suffix: str, binary: bool) -> None:
+    far = POINTS + np.array([512_345.678, 5_403_210.987, 310.0])
+    path = tmp_path / f"far{suffix}"
+    write_cloud(path, Cloud(far, COLORS), binary=binary)
+    np.testing.assert_allclose(read_cloud(path).points, far, atol=1e-4, rtol=0)
+
+
+def test_a_pcd_near_the_origin_stays_float32(tmp_path) -> None:
+    holes = np.concatenate([POINTS, np.full((1, 3), np.nan)])
+    write_cloud(tmp_path / "near.pcd", Cloud(holes))
+    assert b"SIZE 4 4 4\n" in (tmp_path / "near.pcd").read_bytes()

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from megrasp_core.errors import CloudError
-from megrasp_core.pointcloud import estimate_normals, neighbours, remove_outliers, voxel_means
-from megrasp_core.pointcloud.knn import smallest_eigenvectors
+from megrasp_core.pointcloud import neighbours, voxel_means
+from megrasp_core.pointcloud.knn import (
+    local_normals,
+    oriented,
+    outlier_mask,
+    smallest_eigenvectors,
+)
 
 
 def test_neighbours_equal_the_full_distance_matrix() -> None:
@@ -25,13 +31,19 @@ def test_neighbours_equal_the_full_distance_matrix() -> None:
         neighbours(queries, points[:0], 3)
 
 
+def estimate_normals(points: np.ndarray, sensor: ArrayLike, k: int = 16) -> np.ndarray:
+    """Normals (N, 3) from the k nearest points, turned to the sensor, as a surface has them."""
+    return oriented(local_normals(points, neighbours(points, points, k)[1]), points, sensor)
+
+
 def test_outliers_go_and_the_surface_stays() -> None:
     x, y = np.meshgrid(np.arange(40) * 0.004, np.arange(40) * 0.004)
     sheet = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
     stray = np.array([[0.08, 0.08, 0.1], [0.02, 0.05, -0.07], [0.3, 0.3, 0.3]])
-    keep = remove_outliers(np.concatenate([sheet, stray]))
+    points = np.concatenate([sheet, stray])
+    keep = outlier_mask(neighbours(points, points, 9)[0], 3.0)
     assert keep[:-3].all() and not keep[-3:].any()
-    assert remove_outliers(sheet[:2]).all()
+    assert outlier_mask(np.zeros((2, 1)), 3.0).all()
 
 
 @pytest.mark.parametrize(

@@ -196,7 +196,7 @@ def test_messages(heap) -> None:
     for wrong in ((0, 0, 0), (0, 0), (0, 0, np.nan)):
         with pytest.raises(GravityError, match="not a direction"):
             surface_cloud(cloud, gravity=wrong)
-    with pytest.raises(InvalidRequestError, match=r"voxel 0\.1 is out of range"):
+    with pytest.raises(InvalidRequestError, match=r"voxel 0\.1 was given"):
         SceneSettings(voxel=0.1)
     with pytest.raises(InvalidRequestError, match="plane_keep"):
         SceneSettings(plane_keep=1.5)

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from megrasp_core.drawing.scene_picture import scene_picture
 from megrasp_core.errors import DataError, InvalidRequestError
 from megrasp_core.grippers import Gripper, load_gripper, procedural_rack
 from megrasp_core.jobs import ExecutorConfig
@@ -367,8 +366,3 @@ def test_near_misses_lie_in_the_stated_range():
 def test_bad_jobs_are_refused(packed, tmp_path):
     with pytest.raises(DataError, match="object set is empty"):
         generate_scenes(tmp_path, SceneJob(CONFIG, packed, ObjectSet([])), [1])
-
-
-def test_a_picture_is_drawn(scene, gripper, tmp_path):
-    path = scene_picture(scene, gripper, tmp_path / "scene.png", count=2)
-    assert path.stat().st_size > 20_000

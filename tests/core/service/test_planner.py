@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.client
+import io
 import json
 import os
 import signal
@@ -61,7 +62,7 @@ def test_a_cloud_gets_the_grasps_that_the_library_gives(
 
     options = {"num_grasps": 4, "drawn": 6, "keep_all": True, "seed": 3, "sensor": SENSOR}
     answer = client.synthesize(points(), **options)
-    cloud = Cloud(points().astype(np.float32), None, None)
+    cloud = Cloud(points(), None, None)
     direct = synthesizer.synthesize(cloud, **options).to_json()
     assert answer["gripper"] == "franka_hand"
     assert len(answer["grasps"]) == 4
@@ -77,6 +78,38 @@ def test_region_floor_and_excluded_poses_travel_as_json(client: PlannerClient) -
         floor=[0, 0, 2, 0], exclude=[[0, 0, 0.05, 1, 0, 0, 0]],
     )  # fmt: skip
     assert answer["seed"] == 3
+
+
+def test_places_on_a_map_keep_their_millimetres(monkeypatch: pytest.MonkeyPatch) -> None:
+    sent: list[np.ndarray] = []
+
+    def send(self: PlannerClient, path: str, body: bytes) -> dict[str, object]:
+        with np.load(io.BytesIO(body)) as archive:
+            sent.append(archive["points"])
+        return {}
+
+    monkeypatch.setattr(PlannerClient, "_send", send)
+    far = points() + np.array([512_345.678, 5_403_210.987, 310.0])
+    PlannerClient().synthesize(far)
+    PlannerClient().synthesize(points().astype(np.float32))
+    np.testing.assert_array_equal(sent[0], far)
+    assert sent[1].dtype == np.float32  # nothing to lose: half the bytes
+
+
+def test_a_sensor_for_every_point_and_many_poses_travel_in_the_body(
+    client: PlannerClient, synthesizer: GraspSynthesizer
+) -> None:
+    from megrasp_core.pointcloud import Cloud
+
+    seen_from = np.tile(SENSOR, (len(points()), 1)) + np.linspace(0, 1e-3, len(points()))[:, None]
+    failed = [np.array([0.3 + i, 0.0, 0.05, 1.0, 0.0, 0.0, 0.0]) for i in range(700)]
+    options = {"num_grasps": 2, "drawn": 4, "keep_all": True, "seed": 3}
+    answer = client.synthesize(points(), sensor=seen_from, exclude=failed, **options)
+    direct = synthesizer.synthesize(Cloud(points(), None, seen_from), **options).to_json()
+    for sent, made in zip(answer["grasps"], direct["grasps"], strict=True):
+        np.testing.assert_allclose(sent["world_from_tcp"], made["world_from_tcp"], atol=1e-9)
+    with pytest.raises(PlannerError, match=r"expected \(\.\.\., 7\)"):
+        client.synthesize(points(), sensor=SENSOR, exclude=[[0.0] * 6] * 1000)
 
 
 def test_changing_the_gripper(client: PlannerClient) -> None:
@@ -98,6 +131,9 @@ def test_changing_the_gripper(client: PlannerClient) -> None:
         ({"region": {"pose": [0, 0]}}, 5, "expected"),
         ({"region": {"size": [1, 1, 1]}}, 5, "7 numbers"),
         ({"floor": [0, 0, 0, 0]}, 5, "plane"),
+        ({"walls": "false"}, 5, "walls 'false'.*true or false"),
+        ({"max_tilt": "0.5"}, 5, "max_tilt '0.5'.*rad"),
+        ({"min_score": None}, 5, "min_score None.*from 0 to 1"),
         ({"region": {"pose": [5, 0, 0, 0, 0, 0, 1], "size": [0.1, 0.1, 0.1]}}, 104, "region"),
     ],
 )
@@ -124,6 +160,7 @@ def send(server: PlannerServer, method: str, path: str, body: bytes = b"", **hea
         ("POST", "/synthesize", b"PK\x03\x04 cut", 400, "the body"),
         ("POST", "/synthesize?request=[1]", b"", 400, "JSON object"),
         ("POST", "/synthesize?request=" + urllib.parse.quote("[" * 5000), b"", 400, "JSON object"),
+        ("POST", "/synthesize?request=body", b"PK\x03\x04 cut", 400, "in the body"),
         ("POST", "/gripper", b"\xff", 400, "JSON object"),
         ("POST", "/gripper", b"{}", 400, "None"),
         ("GET", "/nothing", b"", 404, "expected GET /status"),

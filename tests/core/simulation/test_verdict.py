@@ -28,7 +28,7 @@ def test_box_between_the_pads_is_lifted(jaw: Jaw) -> None:
     assert verdict.lifted == (0,) and verdict.target == 0 and verdict.extra == 0
     # The scene stays as the attempt leaves it: the box hangs 20 cm higher in the hand.
     assert world.object_poses()[0, 2, 3] == pytest.approx(0.225, abs=0.003)
-    assert world.gripper_pose()[2, 3] == pytest.approx(0.01 + Jaw.tip + 0.2, abs=0.003)
+    assert world.hand.pose()[2, 3] == pytest.approx(0.01 + Jaw.tip + 0.2, abs=0.003)
 
 
 def test_miss_beside_the_box(jaw: Jaw) -> None:

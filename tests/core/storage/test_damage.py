@@ -184,6 +184,19 @@ def test_nothing_that_was_moved_aside_is_ever_replaced(tmp_path):
     assert len(set(harmed)) == 3 and sorted(kept) == sorted(harmed)
 
 
+def test_a_damaged_shard_of_attempts_names_them(tmp_path):
+    """Attempts are numbered by their time in nanoseconds, with 19 digits."""
+    times = (1_790_000_000_123_456_789, 1_790_000_000_123_456_790)
+    writer = SceneWriter(tmp_path, {"config": "test"}, shard_size=2)
+    for time in times:
+        writer.add(made_record(time))
+    writer.close()
+    cut(tmp_path / "shards" / "shard_00000.npz")
+    [finding] = (f for f in verify_dataset(tmp_path) if f.file.name == "shard_00000.npz")
+    assert finding.lost and set(finding.lost) <= {f"scene_{time}" for time in times}
+    assert finding.lost[0] in str(finding)
+
+
 def test_scenes_in_the_wrong_file_are_damage(data):
     scenes = data / "scenes"
     shutil.copy(scenes / "scene_0000000009.npz", scenes / "scene_0000000077.npz")

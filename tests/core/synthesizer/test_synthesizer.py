@@ -379,6 +379,24 @@ def test_no_gripper_and_unknown_names_are_told(model, tmp_path):
         GraspSynthesizer.load(tmp_path / "none", "robotiq_2f85")
 
 
+def test_the_grippers_used_last_are_kept(model, monkeypatch):
+    from megrasp_core.synthesizer import synthesizer as module
+
+    monkeypatch.setattr(module, "KEPT_GRIPPERS", 2)
+    kept = GraspSynthesizer(model)
+    codes = model.encode_gripper
+    encoded = []
+    monkeypatch.setattr(
+        model, "encode_gripper", lambda tokens: encoded.append(0) or codes(tokens), raising=False
+    )
+    for name, so_far in (
+        ("robotiq_2f85", 1), ("franka_hand", 2), ("robotiq_2f85", 2), ("schunk_wsg32", 3),
+        ("robotiq_2f85", 3), ("franka_hand", 4),
+    ):  # fmt: skip
+        assert kept.set_gripper(name).name == kept.gripper.name == name
+        assert len(encoded) == so_far
+
+
 def test_an_unknown_gripper_leaves_the_one_in_use(synthesizer):
     with pytest.raises(UnknownGripperError):
         synthesizer.set_gripper("claw")

@@ -20,6 +20,7 @@ from megrasp_core.objects import (
     procedural_object,
 )
 from megrasp_core.simulation import (
+    START_DEPTH,
     Bin,
     FreeSpaceRig,
     Reason,
@@ -36,9 +37,6 @@ NOISE = 5e-5
 """Standard deviation of the moves that show how far two runs at 2 ms agree (m)."""
 
 FIRST_OBJECT = ObjectSeeds.DATA_BENCH.start
-
-MAX_DEPTH = 0.001
-
 
 PROFILED = 4
 """Objects whose trials are profiled."""
@@ -209,6 +207,6 @@ def _collisions(gripper: Gripper, world: World, count: int) -> dict[str, Any]:
     pose[:, 1, 0], pose[:, 1, 1] = np.sin(angle), -np.cos(angle)
     pose[:, :3, 3] = tip - np.einsum("nij,j->ni", pose[:, :3, :3], gripper.tcp)
     start = time.process_time()
-    colliding = float((start_depths(world, pose) > MAX_DEPTH).mean())
+    colliding = float((start_depths(world, pose) > START_DEPTH).mean())
     seconds = time.process_time() - start
     return {"collision_tests_per_second": count / max(seconds, 1e-9), "colliding": colliding}

@@ -242,8 +242,8 @@ class RobotCell:
         on_phase: called at the beginning of `approach`, `close`, `lift` and `drop`; may raise
         CancelledError.
 
-        Raises InvalidRequestError for something that is no pose, SimulationError if the physics
-        diverges, CancelledError; the scene is then as before.
+        Physics that diverge are a failure, `unstable`. Raises InvalidRequestError for something
+        that is no pose, CancelledError; the scene is then as before.
         """
         pose = checked_pose(world_from_gripper, "world_from_gripper")
         start = None if approach is None else checked_pose(approach, "approach")

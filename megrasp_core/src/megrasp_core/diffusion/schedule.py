@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from megrasp_core.errors import InvalidRequestError
+from megrasp_core.ranges import POSITIVE, Range, check_ranges
 
 LOW_LEVEL = 0.1
 """Below this level of noise a pose is a matter of millimetres."""
@@ -47,11 +48,12 @@ class NoiseSchedule:
         Raises:
             InvalidRequestError: a value is outside its range.
         """
-        if not (self.sigma_t > 0 and self.sigma_r > 0 and 0 < self.s_min < 1):
-            raise InvalidRequestError(
-                f"got sigma_t={self.sigma_t}, sigma_r={self.sigma_r}, s_min={self.s_min}; "
-                "expected positive sigmas and s_min between 0 and 1"
-            )
+        check_ranges(
+            self,
+            sigma_t=POSITIVE,
+            sigma_r=POSITIVE,
+            s_min=Range(above=0, below=1),
+        )
 
     @classmethod
     def of(cls, config: NoiseSizes) -> NoiseSchedule:

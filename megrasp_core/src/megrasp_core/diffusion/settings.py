@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from megrasp_core.errors import InvalidRequestError
+from megrasp_core.ranges import COUNT, FROM_ONE, Range, check_ranges
 
 from .schedule import NoiseSchedule
 
@@ -56,20 +57,15 @@ class SamplerSettings:
             raise InvalidRequestError(
                 f"got sampler {self.kind!r}; expected one of {', '.join(KINDS)}"
             )
-        if self.steps < 1 or self.restarts < 0 or self.restart_steps < 1:
-            raise InvalidRequestError(
-                f"got steps={self.steps}, restarts={self.restarts}, restart_steps="
-                f"{self.restart_steps}; expected at least 1, 0 and 1"
-            )
-        if not 0 < self.restart_level <= 1:
-            raise InvalidRequestError(
-                f"got restart_level={self.restart_level}; expected a level in (0, 1]"
-            )
-        if self.langevin_inner < 1 or not 0 < self.langevin_step < 2:
-            raise InvalidRequestError(
-                f"got langevin_inner={self.langevin_inner}, langevin_step={self.langevin_step}; "
-                "expected at least 1 move and a step in (0, 2)"
-            )
+        check_ranges(
+            self,
+            steps=FROM_ONE,
+            restarts=COUNT,
+            restart_level=Range(high=1, above=0),
+            restart_steps=FROM_ONE,
+            langevin_inner=FROM_ONE,
+            langevin_step=Range(above=0, below=2),
+        )
 
     @property
     def uses_score(self) -> bool:

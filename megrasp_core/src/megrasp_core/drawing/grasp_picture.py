@@ -59,7 +59,19 @@ def save_grasp_picture(
     region: OrientedBox | None = None,
     gravity: Sequence[float] | np.ndarray | None = (0.0, 0.0, -1.0),
 ) -> Path:
-    """Write `draw_grasps` to a PNG; missing folders are made. Returns the path."""
+    """Write `draw_grasps` to a PNG; missing folders are made. Returns the path.
+
+    Args:
+        path: of the PNG.
+        cloud: in the frame of the grasps.
+        grasps: a synthesis, or grasps best first.
+        gripper: whose grasps they are.
+        chosen: index of the grasp drawn as a gripper; None: none.
+        title: first line of the header; None: as `draw_grasps` makes it.
+        count: most grasps to draw.
+        region: the picture is cropped to it; None: it is not.
+        gravity: (3,) down in the frame of the cloud; None: the picture looks from the viewpoint.
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     image = draw_grasps(

@@ -42,6 +42,15 @@ def noise_picture(
 
     Above the depth image of the first camera, clean and noisy, and which effect lost which pixel;
     below the cloud of all cameras, clean and noisy, and the error of the depth that came back.
+
+    Args:
+        world: the scene.
+        cameras: that look at it.
+        noise: of all of them; None: none.
+        seed: of the noise.
+        light: of the scene.
+        file: the PNG.
+        title: over the picture.
     """
 
     def generator() -> np.random.Generator:

@@ -11,11 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from megrasp_core.simulation import World, start_contacts
+from megrasp_core.simulation import START_DEPTH, World, start_contacts
 from megrasp_core.storage import SceneRecord
 
-FREE_DEPTH = 0.001
-"""As deep (m) a grasp is free of collision still."""
 DEEP = 0.005
 VERY_DEEP = 0.010
 IN_SIGHT = 0.008
@@ -44,7 +42,7 @@ class CollisionCauses:
         """Count the poses (n, 4, 4) that collide in a record's world."""
         seen = KDTree(record.points.astype(np.float64))
         for depths, places in start_contacts(world, world_from_gripper):
-            deep = depths > FREE_DEPTH
+            deep = depths > START_DEPTH
             if not deep.any():
                 continue
             self.count += 1

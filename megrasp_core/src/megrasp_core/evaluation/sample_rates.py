@@ -115,14 +115,13 @@ def sample_rates(
     settings = SampleSettings(samples=each, judged=each, colliding=each, seed=seed)
     held, hit, tried = [], [], []
     causes = CollisionCauses()
-    tcp_from_gripper = np.linalg.inv(np.asarray(gripper.gripper_from_tcp, np.float64))
     for record in records:
         poses = draw_poses(record, model, gripper, settings)
         labels = judge_poses(record, gripper, objects, poses, settings)
         held.append(int((labels.label == 1).sum()))
         hit.append(int(np.char.endswith(labels.reason, "_collision").sum()))
         tried.append(len(labels))
-        world_from_gripper = np.asarray(poses @ tcp_from_gripper, np.float64)
+        world_from_gripper = np.asarray(poses @ gripper.tcp_from_gripper, np.float64)
         causes.add(record, world_of(record, gripper, objects), world_from_gripper)
     return {
         "scenes": len(records),

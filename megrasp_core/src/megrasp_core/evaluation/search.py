@@ -15,10 +15,9 @@ from scipy.spatial.transform import Rotation
 from megrasp_core.grippers import Gripper
 from megrasp_core.library import ObjectSurface, antipodal
 from megrasp_core.objects import ObjectModel
-from megrasp_core.simulation import World, approach_path, judge, start_depths
+from megrasp_core.simulation import START_DEPTH, World, approach_path, judge, start_depths
 
 GRAVITY = np.array([0.0, 0.0, -1.0])
-MAX_DEPTH = 0.001
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ class GraspSearch:
                 depth = start_depths(world, poses)
                 if repair:
                     poses, depth = self._moved(world, poses, depth, rng)
-                free = poses[depth <= MAX_DEPTH]
+                free = poses[depth <= START_DEPTH]
                 best = self._first_success(world, free[rng.permutation(len(free))], goals)
                 if best is not None:
                     return best
@@ -144,7 +143,7 @@ class GraspSearch:
         state, tried = world.save(), 0
         for pose in poses:
             back = self.stand_off(pose)
-            if start_depths(world, approach_path(back, pose)).max() > MAX_DEPTH:
+            if start_depths(world, approach_path(back, pose)).max() > START_DEPTH:
                 continue
             verdict = judge(world, pose, graspable=sorted(goals), approach=back)
             world.restore(state)

@@ -16,10 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from megrasp_core.errors import CancelledError, InvalidRequestError, SimulationError
+from megrasp_core.errors import CancelledError, SimulationError
 from megrasp_core.jobs import ExecutorConfig, run_units
 from megrasp_core.library import cached_gripper
 from megrasp_core.objects import ObjectSeeds
+from megrasp_core.ranges import COUNT, FROM_ONE, POSITIVE, check_ranges
 
 from .posture_space import PostureSpace
 from .posture_trials import Offsets, Tally, Task, TrialMemory, measure
@@ -64,16 +65,19 @@ class PostureSearchSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("variants", "objects", "candidates", "held_out", "held_out_candidates"):
-            if getattr(self, name) < 1:
-                raise InvalidRequestError(
-                    f"{name} is {getattr(self, name)}; expected a whole number of at least 1."
-                )
-        if self.rounds < 0 or self.scale <= 0.0:
-            raise InvalidRequestError(
-                f"rounds is {self.rounds} and scale {self.scale}; expected rounds of 0 or more "
-                "and a scale above 0."
-            )
+        check_ranges(
+            self,
+            variants=FROM_ONE,
+            rounds=COUNT,
+            objects=FROM_ONE,
+            candidates=FROM_ONE,
+            scale=POSITIVE,
+            shrink=POSITIVE,
+            held_out=FROM_ONE,
+            held_out_candidates=FROM_ONE,
+            timestep=POSITIVE,
+            seed=COUNT,
+        )
 
 
 @dataclass

@@ -30,7 +30,8 @@ TOKEN_CLOUD = 1024
 
 
 class Gripper:
-    """A gripper ready for rendering, simulation and the network. Frames and words:
+    """A gripper ready for rendering, simulation and the network; frames and words as in
+    docs/architecture.md.
 
     Loading compiles the model and checks the whole description, so a Gripper that exists is valid.
     Results that cost time are kept on the instance, clouds and collision points also on disk
@@ -75,6 +76,13 @@ class Gripper:
         """Pose (4, 4) of the TCP frame in the gripper frame, a pure translation."""
         out = np.eye(4)
         out[:3, 3] = self.tcp
+        return out
+
+    @property
+    def tcp_from_gripper(self) -> NDArray[np.float64]:
+        """Pose (4, 4) of the gripper frame in the TCP frame, the inverse of `gripper_from_tcp`."""
+        out = np.eye(4)
+        out[:3, 3] = -self.tcp
         return out
 
     @property

@@ -267,7 +267,7 @@ def read_sets(path: Path) -> list[GraspSet]:
     ]
 
 
-def thinned(entry: GraspSet, failures: int) -> GraspSet:
+def with_few_failures(entry: GraspSet, failures: int) -> GraspSet:
     """The set with all successes and the first `failures` failures, in their order."""
     failed = np.flatnonzero(~entry.success)[:failures]
     keep = np.sort(np.concatenate([np.flatnonzero(entry.success), failed]))

@@ -22,7 +22,7 @@ from megrasp_core.simulation import FreeSpaceResult, FreeSpaceRig, Reason
 from megrasp_core.storage import GraspSet, remove_leftovers
 
 from .candidates import CandidateSettings, ObjectSurface, antipodal
-from .grasp_library import find_pair, thinned, write_grasp_set
+from .grasp_library import find_pair, with_few_failures, write_grasp_set
 
 STEP = 1.15
 """Factor by which moves grow or shrink."""
@@ -114,11 +114,10 @@ def label_object(
         if trials.is_over or trials.held >= max(1, round(settings.fresh * settings.target)):
             break
         trials.attempt(pose)
-    tcp_from_gripper = np.linalg.inv(gripper.gripper_from_tcp)
     scale = 1.0
     while trials.held and not trials.is_over:
         near = trials.held_poses[int(rng.integers(trials.held))]
-        moved = gripper.gripper_from_tcp @ _move(settings, scale, rng) @ tcp_from_gripper
+        moved = gripper.gripper_from_tcp @ _move(settings, scale, rng) @ gripper.tcp_from_gripper
         result = trials.attempt(near @ moved)
         # What always holds is moved further, until about one grasp in three does.
         if result.reason is not Reason.START_COLLISION:
@@ -137,7 +136,7 @@ def label_object(
         drawn=trials.drawn,
         tried=len(trials.results),
     )
-    return thinned(entry, max(4, round(settings.failures * settings.target)))
+    return with_few_failures(entry, max(4, round(settings.failures * settings.target)))
 
 
 class _Trials:

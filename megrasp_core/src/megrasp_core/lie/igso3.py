@@ -88,12 +88,6 @@ def sample(sigma: Tensor, generator: torch.Generator | None = None) -> Tensor:
     return angle_ratio(norm, sigma)[..., None] * g
 
 
-def sample_angle(sigma: Tensor, generator: torch.Generator | None = None) -> Tensor:
-    """Angles (...) in [0, pi] (rad) of draws from IGSO3(sigma), one per element of sigma (...)."""
-    _, norm = _gaussian(sigma, generator)
-    return angle_ratio(norm, sigma) * norm
-
-
 def _gaussian(sigma: Tensor, generator: torch.Generator | None) -> tuple[Tensor, Tensor]:
     g = torch.randn(*sigma.shape, 3, generator=generator, dtype=sigma.dtype, device=sigma.device)
     return g, (g * g).sum(-1).sqrt()

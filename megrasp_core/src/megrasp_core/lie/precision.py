@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any, Protocol, TypeVar, cast
 
 import torch
-from torch import Tensor
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
+class _OnDevice(Protocol):
+    @property
+    def device(self) -> torch.device: ...
+
+
 def full_precision(function: Function) -> Function:
-    """Run a function, whose first argument is a tensor, with autocast switched off."""
+    """Run a function with autocast switched off; its first argument says on which device, as a
+    tensor or a `PoseBatch`.
+    """
 
     @functools.wraps(function)
-    def wrapper(first: Tensor, *args: Any, **kwargs: Any) -> Any:
+    def wrapper(first: _OnDevice, *args: Any, **kwargs: Any) -> Any:
         with torch.autocast(first.device.type, enabled=False):
             return function(first, *args, **kwargs)
 

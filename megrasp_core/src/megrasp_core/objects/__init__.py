@@ -2,7 +2,7 @@
 object sets.
 """
 
-from .assets import SPLITS, TRAIN_SETS, asset_objects, is_validation, load_asset_objects
+from .assets import SPLITS, TRAIN_SETS, asset_objects, is_validation
 from .decomposition import Decomposition, Method, decompose
 from .folder import find_objects, load_object, load_objects, save_object
 from .kinds import OBJECT_KINDS, OBSTACLE_KINDS, object_kind
@@ -54,7 +54,6 @@ __all__ = [
     "find_objects",
     "generate_objects",
     "is_validation",
-    "load_asset_objects",
     "load_object",
     "load_objects",
     "mass_properties",

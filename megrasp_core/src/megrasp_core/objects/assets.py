@@ -8,8 +8,7 @@ from pathlib import Path
 
 from megrasp_core.errors import InvalidRequestError, ObjectError
 
-from .folder import find_objects, load_object
-from .model import ObjectModel
+from .folder import find_objects
 
 # The terms of the other set, kit_bigbird, are not verified: it serves evaluation alone.
 TRAIN_SETS = ("factory", "gso", "gso_vima", "household", "ycb")
@@ -45,19 +44,10 @@ def asset_objects(split: str) -> list[Path]:
     back by a hash of their names; "devtest": never used to train or to choose anything. Raises
     InvalidRequestError for another split, ObjectError when the assets are missing.
     """
-    return [path for _, path in _named(split)]
-
-
-def load_asset_objects(split: str) -> list[ObjectModel]:
-    """Read the objects of `asset_objects(split)`, named like "ycb/003_cracker_box"."""
-    return [load_object(path, name) for name, path in _named(split)]
-
-
-def _named(split: str) -> list[tuple[str, Path]]:
     if split not in SPLITS:
         raise InvalidRequestError(f"unknown split {split!r}; expected one of {', '.join(SPLITS)}.")
     found = find_objects(asset_folder() / ("devtest" if split == "devtest" else "train"))
     if split == "devtest":
-        return found
+        return [path for _, path in found]
     ours = [(name, path) for name, path in found if name.split("/")[0] in TRAIN_SETS]
-    return [(name, path) for name, path in ours if is_validation(name) == (split == "validation")]
+    return [path for name, path in ours if is_validation(name) == (split == "validation")]

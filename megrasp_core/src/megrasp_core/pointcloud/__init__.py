@@ -6,8 +6,9 @@ from .cloud import Cloud
 from .depth_image import DepthImage, DepthImageSettings
 from .depth_points import camera_matrix, depth_cloud, depth_points, read_depth_cloud
 from .emptiness import check_not_upside_down, only_support_left
+from .gravity import unit_gravity
 from .io import read_cloud, without_zeros, write_cloud
-from .knn import estimate_normals, neighbours, remove_outliers
+from .knn import neighbours
 from .plane import Plane, PlaneSettings, support_plane
 from .scene import (
     SceneNodes,
@@ -49,7 +50,6 @@ __all__ = [
     "choose_nodes",
     "depth_cloud",
     "depth_points",
-    "estimate_normals",
     "find_bin",
     "grown_region",
     "level_floor",
@@ -59,10 +59,10 @@ __all__ = [
     "nodes_at",
     "read_cloud",
     "read_depth_cloud",
-    "remove_outliers",
     "scene_nodes",
     "support_plane",
     "surface_cloud",
+    "unit_gravity",
     "unseen_structure",
     "voxel_means",
     "without_zeros",

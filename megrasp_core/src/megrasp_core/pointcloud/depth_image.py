@@ -10,6 +10,7 @@ import numpy as np
 from scipy import ndimage
 
 from megrasp_core.errors import CloudError, SensorPlaceError
+from megrasp_core.ranges import COUNT, FROM_ONE, LENGTH, POSITIVE, check_ranges
 
 __all__ = ["DepthImage", "DepthImageSettings"]
 
@@ -40,6 +41,17 @@ class DepthImageSettings:
     fill_passes: int = 2
     fill_neighbours: int = 3
     hole: float = 0.015
+
+    def __post_init__(self) -> None:
+        check_ranges(
+            self,
+            pitch_in_spacings=POSITIVE,
+            max_side=FROM_ONE,
+            max_tangent=POSITIVE,
+            fill_passes=COUNT,
+            fill_neighbours=FROM_ONE,
+            hole=LENGTH,
+        )
 
 
 class DepthImage:

@@ -107,8 +107,13 @@ def _several(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def write_cloud(path: str | Path, cloud: Cloud, *, binary: bool = True) -> None:
     """Write a cloud; the suffix decides the format, `binary=False` writes PLY and PCD as text.
 
-    Only .npz and, with one place for all points, .pcd keep the viewpoint; .npy keeps the points
-    alone. Missing folders are made.
+    Only .npz keeps everything. Of the rest .pcd keeps the viewpoint where it is one place for all
+    points, .ply none; neither keeps labels; .npy keeps the points alone. Missing folders are made.
+
+    Args:
+        path: of the file.
+        cloud: to write; no coordinate changes by more than 0.1 mm.
+        binary: for .ply and .pcd.
 
     Raises:
         CloudError: another suffix, or the file cannot be written.

@@ -39,26 +39,6 @@ def outlier_mask(distance: FloatArray, ratio: float = 3.0) -> NDArray[np.bool_]:
     return mean <= ratio * float(np.median(mean))
 
 
-def remove_outliers(points: FloatArray, k: int = 8, ratio: float = 3.0) -> NDArray[np.bool_]:
-    """Return (N,), true for points (N, 3) to keep: those not far from their k neighbours.
-
-    Meant for evenly spaced points, that is after `voxel_means`. See `outlier_mask`.
-    """
-    if len(points) < 3:
-        return np.ones(len(points), bool)
-    return outlier_mask(neighbours(points, points, k + 1)[0], ratio)
-
-
-def estimate_normals(points: FloatArray, sensor: ArrayLike, k: int = 16) -> FloatArray:
-    """Return unit normals (N, 3) of the surface that points (N, 3) lie on, turned to the sensor.
-
-    The normal is the direction of least spread of the k nearest points. sensor: (3,) or, for fused
-    views, (N, 3) where each point was seen from.
-    """
-    _, index = neighbours(points, points, k)
-    return oriented(local_normals(points, index), points, sensor)
-
-
 def oriented(normals: FloatArray, points: FloatArray, sensor: ArrayLike) -> FloatArray:
     """Return the normals (N, 3), flipped where they point away from the sensor."""
     towards = np.asarray(sensor, dtype=np.float64) - points

@@ -24,6 +24,8 @@ KINDS = {"F": "f", "I": "i", "U": "u"}
 SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 UNSET = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 LONGEST_HEADER = 100_000
+LOSS = 1e-4
+"""What a written coordinate may lose (m)."""
 IN_VIEW = 0.5
 """Cosine of the angle to its axis within which a camera sees."""
 
@@ -88,10 +90,20 @@ def read_pcd(path: Path, *, optical: bool = False) -> Cloud:
 
 
 def write_pcd(path: Path, cloud: Cloud, *, binary: bool = True) -> None:
-    """Write points, colours, and the sensor's place where there is one for all."""
-    names, row = ["x", "y", "z"], [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
+    """Write points, colours, and the sensor's place where there is one for all.
+
+    Points are float32, which every reader takes, or float64 where that would lose more than
+    `LOSS`: far from the origin, as places on a map are.
+    """
+    finite = cloud.finite().points
+    # Numbers beyond float32 become infinite, which is a loss as well.
+    with np.errstate(over="ignore"):
+        loss = np.abs(finite - finite.astype(np.float32)).max(initial=0.0)
+    size = 4 if loss <= LOSS else 8
+    names, row = ["x", "y", "z"], [(name, f"<f{size}") for name in "xyz"]
+    sizes = [size] * 3
     if cloud.colors is not None:
-        names, row = [*names, "rgb"], [*row, ("rgb", "<u4")]
+        names, row, sizes = [*names, "rgb"], [*row, ("rgb", "<u4")], [*sizes, 4]
     table = np.zeros(len(cloud), row)
     for axis, name in enumerate("xyz"):
         table[name] = cloud.points[:, axis]
@@ -103,7 +115,7 @@ def write_pcd(path: Path, cloud: Cloud, *, binary: bool = True) -> None:
     kinds = ["F", "F", "F", "U"][: len(names)]
     head = [
         "# .PCD v0.7 - Point Cloud Data file format", "VERSION 0.7", f"FIELDS {' '.join(names)}",
-        f"SIZE {' '.join(['4'] * len(names))}", f"TYPE {' '.join(kinds)}",
+        f"SIZE {' '.join(map(str, sizes))}", f"TYPE {' '.join(kinds)}",
         f"COUNT {' '.join(['1'] * len(names))}", f"WIDTH {len(cloud)}", "HEIGHT 1",
         f"VIEWPOINT {' '.join(map(repr, place))} 1 0 0 0", f"POINTS {len(cloud)}",
         f"DATA {'binary' if binary else 'ascii'}", "",

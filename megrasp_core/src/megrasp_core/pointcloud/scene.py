@@ -12,11 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from megrasp_core.errors import CloudError, EmptyRegionError, GravityError, InvalidRequestError
+from megrasp_core.errors import CloudError, EmptyRegionError
 from megrasp_core.meshes import farthest_points
+from megrasp_core.ranges import FROM_ONE, LENGTH, SHARE, Range, check_ranges
 
 from .box import OrientedBox
 from .cloud import Cloud
+from .gravity import unit_gravity
 from .knn import local_normals, neighbours, oriented, outlier_mask
 from .plane import PlaneSettings, support_plane
 from .sensor import sensor_place
@@ -56,19 +58,18 @@ class SceneSettings:
 
     def __post_init__(self) -> None:
         """Refuse values that no cloud can satisfy."""
-        if not 0.0005 <= self.voxel <= 0.05:
-            raise InvalidRequestError(
-                f"voxel {self.voxel} is out of range; expected 0.0005 to 0.05 m."
-            )
-        if (
-            self.max_nodes < 1
-            or self.normal_neighbours < 3
-            or not (0 <= self.plane_keep <= 1 and 0 <= self.plane_share <= 1)
-        ):
-            raise InvalidRequestError(
-                f"scene settings {self} are not usable; expected max_nodes >= 1, "
-                "normal_neighbours >= 3, plane_keep and plane_share in 0..1."
-            )
+        check_ranges(
+            self,
+            voxel=Range(0.0005, 0.05, unit="m"),
+            max_nodes=FROM_ONE,
+            region_margin=LENGTH,
+            region_headroom=LENGTH,
+            plane_keep=SHARE,
+            plane_share=SHARE,
+            plane_band=LENGTH,
+            normal_neighbours=Range(3, whole=True),
+            outlier_ratio=LENGTH,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +144,7 @@ def surface_cloud(
     """
     settings = settings or SceneSettings()
     origin = _sensor(cloud, sensor)
-    down = _unit_gravity(gravity)
+    down = None if gravity is None else unit_gravity(gravity)
     if region is not None:
         middle = np.atleast_2d(origin).mean(axis=0)
         inside = grown_region(region, down, middle, settings).contains(cloud.points)
@@ -302,19 +303,6 @@ def _sensor(cloud: Cloud, sensor: ArrayLike | None) -> FloatArray:
             "optical frame it is 0 0 0."
         )
     return sensor_place(origin, len(cloud))
-
-
-def _unit_gravity(gravity: ArrayLike | None) -> FloatArray | None:
-    if gravity is None:
-        return None
-    vector = np.asarray(gravity, dtype=np.float64)
-    length = float(np.linalg.norm(vector)) if vector.shape == (3,) else float("nan")
-    if not np.isfinite(length) or length < 1e-6:
-        raise GravityError(
-            f"gravity {vector.tolist()} is not a direction; expected three numbers that point "
-            "down in the frame of the cloud, e.g. 0 0 -1 where z is up."
-        )
-    return vector / length
 
 
 def _nothing_in_region(cloud: Cloud, region: OrientedBox) -> EmptyRegionError:

@@ -20,7 +20,6 @@ from .probe import (
     ClosingVolume,
     GripperProbe,
     ProbeSettings,
-    closing_volume,
     gripper_probe,
 )
 from .rank import RankSettings, excluded, rejection_counts, score_grasps, suppress_duplicates
@@ -46,7 +45,6 @@ __all__ = [
     "SceneObservation",
     "SweepSettings",
     "check_grasps",
-    "closing_volume",
     "contact_surface",
     "excluded",
     "fit_calibration",

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from megrasp_core.ranges import COUNT, FROM_ONE, LENGTH, SHARE, check_ranges
+
 from .observation import PointState, SceneObservation
 from .probe import GripperProbe, gripper_probe
 
@@ -68,6 +70,18 @@ class CheckSettings:
     max_unseen: float = 0.15
     near: float = 0.06
     workspace_above: float = 0.05
+
+    def __post_init__(self) -> None:
+        check_ranges(
+            self,
+            max_inside=COUNT,
+            max_structure=COUNT,
+            approach_steps=FROM_ONE,
+            max_approach_inside=COUNT,
+            max_unseen=SHARE,
+            near=LENGTH,
+            workspace_above=LENGTH,
+        )
 
 
 @dataclass

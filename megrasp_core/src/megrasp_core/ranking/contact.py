@@ -6,6 +6,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from megrasp_core.ranges import FROM_ONE, LENGTH, POSITIVE, SHARE, Range, check_ranges
+
 from .boxes import inside_bounds, posed_box_bounds
 from .probe import ClosingVolume
 
@@ -41,6 +43,20 @@ class ContactSettings:
     full_engagement: float = 0.015
     misaligned: float = 0.4
     least_tolerance: float = 0.003
+
+    def __post_init__(self) -> None:
+        check_ranges(
+            self,
+            max_points=FROM_ONE,
+            min_points=FROM_ONE,
+            tip_clear=LENGTH,
+            floor_band=LENGTH,
+            percentile=Range(0, below=50),
+            edge=LENGTH,
+            full_engagement=POSITIVE,
+            misaligned=SHARE,
+            least_tolerance=LENGTH,
+        )
 
 
 @dataclass(frozen=True)

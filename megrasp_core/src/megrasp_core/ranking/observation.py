@@ -11,8 +11,9 @@ import numpy as np
 
 from megrasp_core.errors import InvalidRequestError
 from megrasp_core.pointcloud import DepthImage, DepthImageSettings, View
+from megrasp_core.ranges import LENGTH, check_ranges
 
-from .probe import thinned
+from .probe import one_per_cell
 
 if TYPE_CHECKING:
     from megrasp_core.pointcloud import OrientedBox, Plane
@@ -50,6 +51,15 @@ class ObservationSettings:
     wall_margin: float = 0.001
     floor_margin: float = 0.001
     image: DepthImageSettings = field(default_factory=DepthImageSettings)
+
+    def __post_init__(self) -> None:
+        check_ranges(
+            self,
+            margin=LENGTH,
+            shell=LENGTH,
+            wall_margin=LENGTH,
+            floor_margin=LENGTH,
+        )
 
 
 class SceneObservation:
@@ -105,7 +115,7 @@ class SceneObservation:
             for view in views or (View(self.points, self.sensor),)
         ]
         if surface_points is None:
-            surface_points = thinned(self.points, 0.003)
+            surface_points = one_per_cell(self.points, 0.003)
         # Columns lie together in memory: they are filtered axis by axis.
         self.surface_points = np.asfortranarray(surface_points, dtype=np.float32)
         self.gravity = None if gravity is None else np.asarray(gravity, dtype=np.float64)

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from megrasp_core.ranges import COUNT, LENGTH, POSITIVE, Range, check_ranges
+
 from .distance_field import DistanceField
 
 if TYPE_CHECKING:
@@ -19,7 +21,6 @@ __all__ = [
     "ClosingVolume",
     "GripperProbe",
     "ProbeSettings",
-    "closing_volume",
     "gripper_probe",
 ]
 
@@ -54,6 +55,20 @@ class ProbeSettings:
     seed: int = 0
     narrower: tuple[float, ...] = (0.7, 0.45, 0.25)
     narrower_grid: float = 0.006
+
+    def __post_init__(self) -> None:
+        check_ranges(
+            self,
+            spacing=POSITIVE,
+            near=LENGTH,
+            far_spacing=POSITIVE,
+            approach_spacing=POSITIVE,
+            finger_spacing=POSITIVE,
+            clearance_range=POSITIVE,
+            seed=COUNT,
+            narrower=Range(above=0, below=1, several=True),
+            narrower_grid=POSITIVE,
+        )
 
 
 @dataclass(frozen=True)
@@ -156,7 +171,7 @@ def gripper_probe(gripper: Gripper, settings: ProbeSettings | None = None) -> Gr
     whole = _thinner_far_away(points, near, s)
     probe = GripperProbe(
         points=whole,
-        approach_points=thinned(whole, s.approach_spacing),
+        approach_points=one_per_cell(whole, s.approach_spacing),
         field=DistanceField.around(dense, s.clearance_range),
         tcp=tcp,
         volume=None if pads is None else pads.volume(tcp),
@@ -183,7 +198,7 @@ def gripper_probe(gripper: Gripper, settings: ProbeSettings | None = None) -> Gr
             replace(
                 probe,
                 points=whole,
-                approach_points=thinned(whole, s.approach_spacing),
+                approach_points=one_per_cell(whole, s.approach_spacing),
                 field=DistanceField.around(dense_there, s.clearance_range, s.narrower_grid),
                 volume=volume,
                 opening=float(widths[index]),
@@ -200,7 +215,7 @@ def gripper_probe(gripper: Gripper, settings: ProbeSettings | None = None) -> Gr
 
 def _thinner_far_away(points: np.ndarray, near: np.ndarray, s: ProbeSettings) -> np.ndarray:
     points = np.asarray(points, dtype=np.float32)
-    return np.concatenate([points[near], thinned(points[~near], s.far_spacing)])
+    return np.concatenate([points[near], one_per_cell(points[~near], s.far_spacing)])
 
 
 @dataclass(frozen=True)
@@ -263,7 +278,7 @@ def _pads_of(gripper: Gripper, seed: int) -> _Pads | None:
     return None
 
 
-def thinned(points: np.ndarray, spacing: float) -> np.ndarray:
+def one_per_cell(points: np.ndarray, spacing: float) -> np.ndarray:
     """One point per occupied cell of a cubic grid of this spacing, the one nearest to its
     middle.
     """
@@ -280,25 +295,6 @@ def _thin_rows(points: np.ndarray, spacing: float) -> np.ndarray:
     order = np.argsort(((scaled - cell - 0.5) ** 2).sum(axis=1))
     _, first = np.unique(key[order], return_index=True)
     return np.sort(order[first])
-
-
-def closing_volume(
-    points: np.ndarray, normals: np.ndarray, displacement: np.ndarray, tcp: np.ndarray
-) -> ClosingVolume | None:
-    """Box between the finger surfaces that face each other along X and move towards each other;
-    one of the two sides may stand still.
-
-    Args:
-        points: (C, 3) open surface in the gripper frame.
-        normals: (C, 3) outward normals.
-        displacement: (C, 3) from the open point to the same surface point when closed.
-        tcp: (3,) tool centre point.
-
-    Returns:
-        The box, or None where one of the two sides has no such surface.
-    """
-    pads = _find_pads(points, normals, displacement, np.asarray(tcp))
-    return None if pads is None else pads.volume(np.asarray(tcp))
 
 
 def _find_pads(

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from megrasp_core.ranges import LENGTH, POSITIVE, SHARE, WEIGHT, check_ranges
+
 from .calibration import Calibration
 from .check import GraspCheck, angular_distance
 from .contact import Contacts
@@ -40,6 +42,16 @@ class RankSettings:
     full_clearance: float = 0.003
     duplicate_distance: float = 0.01
     duplicate_angle: float = float(np.deg2rad(15.0))
+
+    def __post_init__(self) -> None:
+        check_ranges(
+            self,
+            unseen_weight=WEIGHT,
+            tight_weight=SHARE,
+            full_clearance=POSITIVE,
+            duplicate_distance=LENGTH,
+            duplicate_angle=LENGTH,
+        )
 
 
 def score_grasps(
@@ -117,8 +129,8 @@ def excluded(
 
 
 def rejection_counts(reason: np.ndarray) -> dict[str, int]:
-    """Number of grasps per reason; those of `REASONS` are always present, the others where
-    they occur.
+    """Number of grasps per reason; those of `ALWAYS_COUNTED` are always present, the others
+    where they occur.
     """
     counts: dict[str, int] = {name: 0 for name in ALWAYS_COUNTED}
     names, numbers = np.unique(reason[reason != ""], return_counts=True)

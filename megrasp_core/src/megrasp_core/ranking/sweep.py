@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from megrasp_core.ranges import COUNT, LENGTH, Range, check_ranges
+
 from .contact import Contacts
 from .observation import PointState, SceneObservation
 from .probe import GripperProbe
@@ -42,6 +44,18 @@ class SweepSettings:
     max_inside: int = 8
     back_off: tuple[float, ...] = (0.003, 0.006, 0.009, 0.012, 0.015)
     least_engagement: float = 0.008
+
+    def __post_init__(self) -> None:
+        check_ranges(
+            self,
+            steps=COUNT,
+            play=LENGTH,
+            edge=LENGTH,
+            max_structure=COUNT,
+            max_inside=COUNT,
+            back_off=Range(0, several=True),
+            least_engagement=LENGTH,
+        )
 
 
 def sweep_hits(

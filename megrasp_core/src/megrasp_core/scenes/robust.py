@@ -28,6 +28,7 @@ from megrasp_core.errors import InvalidRequestError
 from megrasp_core.grippers import Gripper
 from megrasp_core.lie import matrix_from_pose7
 from megrasp_core.objects import ObjectSet
+from megrasp_core.ranges import COUNT, LENGTH, Range, check_ranges
 from megrasp_core.simulation import Reason, Variation, Verdict, build_world, judge, varied
 from megrasp_core.storage import NOT_TRIED, ROBUST_TRIALS, GripperLabels, Kind, SceneRecord
 
@@ -72,11 +73,18 @@ class RobustSettings:
     approach: float = 0.10
 
     def __post_init__(self) -> None:
-        for name in ("successes", "near_misses", "failures"):
-            if getattr(self, name) < 0:
-                raise InvalidRequestError(
-                    f"{name} is {getattr(self, name)}; expected 0 or more grasps."
-                )
+        check_ranges(
+            self,
+            successes=COUNT,
+            near_misses=COUNT,
+            failures=COUNT,
+            metres=LENGTH,
+            radians=LENGTH,
+            friction=Range(above=0, several=True),
+            mass=Range(above=0, several=True),
+            force=Range(above=0, several=True),
+            approach=LENGTH,
+        )
         if not self.vary or not set(self.vary) <= set(FACTORS):
             raise InvalidRequestError(
                 f"vary is {self.vary}; expected at least one of {', '.join(FACTORS)}."
@@ -272,7 +280,7 @@ class _Trier:
         # Objects at rest sleep until touched: half the time, the same verdicts.
         self._world.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
         self._start = self._world.save()
-        self._tcp_from_gripper = np.linalg.inv(np.asarray(gripper.gripper_from_tcp, np.float64))
+        self._tcp_from_gripper = gripper.tcp_from_gripper
         self._back = np.eye(4)
         self._back[2, 3] = -settings.approach
 

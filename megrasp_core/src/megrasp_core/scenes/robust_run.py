@@ -1,4 +1,4 @@
-"""Runs of robust labels (robust_labels.py) over data sets, into a data set folder of the same
+"""Runs of robust labels (robust.py) over data sets, into a data set folder of the same
 scenes.
 """
 

@@ -16,12 +16,16 @@ from megrasp_core.library import GraspLibrary, ObjectSurface, antipodal
 from megrasp_core.lie import matrix_from_pose7
 from megrasp_core.objects import ObjectSet
 from megrasp_core.pointcloud import grown_region
-from megrasp_core.simulation import World, approach_path, build_world, start_depths
+from megrasp_core.simulation import (
+    START_DEPTH,
+    Reason,
+    World,
+    approach_path,
+    build_world,
+    start_depths,
+)
 
 from .layout import GRAVITY, Layout, SceneConfig
-
-MAX_DEPTH = 0.001
-"""Deepest penetration that still counts as free (m), as in the verdict."""
 
 Poses = NDArray[np.float64]
 
@@ -122,7 +126,7 @@ class SceneProposer:
         if config.sleep:
             self.world.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
         self._surfaces: dict[str, ObjectSurface] = {}
-        self.tcp_from_gripper = np.linalg.inv(gripper.gripper_from_tcp)
+        self.tcp_from_gripper = gripper.tcp_from_gripper
 
     def library_grasps(self, rng: np.random.Generator) -> SceneGrasps:
         """Successful library grasps of every graspable object, not yet tested."""
@@ -197,14 +201,14 @@ class SceneProposer:
             return grasps
         pose = grasps.pose @ self.tcp_from_gripper
         reason = grasps.reason.copy()
-        reason[start_depths(self.world, pose) > MAX_DEPTH] = "start_collision"
+        reason[start_depths(self.world, pose) > START_DEPTH] = Reason.START_COLLISION.value
         if self._layout.bin is not None:
             back = np.eye(4)
             back[2, 3] = -self._config.approach
             for index in np.flatnonzero(reason == ""):
                 path = approach_path(pose[index] @ back, pose[index])
-                if start_depths(self.world, path).max() > MAX_DEPTH:
-                    reason[index] = "approach_collision"
+                if start_depths(self.world, path).max() > START_DEPTH:
+                    reason[index] = Reason.APPROACH_COLLISION.value
         return replace(grasps, reason=reason)
 
     def _with_copies(self, poses: list[Poses], owners: list[int], *, library: bool) -> SceneGrasps:

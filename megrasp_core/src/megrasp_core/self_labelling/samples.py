@@ -18,6 +18,7 @@ from megrasp_core.lie import matrix_from_pose7
 from megrasp_core.network import GraspModel
 from megrasp_core.objects import ObjectSet
 from megrasp_core.simulation import (
+    START_DEPTH,
     Reason,
     World,
     approach_path,
@@ -55,7 +56,7 @@ class SampleSettings:
     judged: int = 16
     colliding: int = 16
     approach_distance: float = 0.10
-    max_depth: float = 0.001
+    max_depth: float = START_DEPTH
     sampler: SamplerSettings | None = None
     seed: int = 1
 
@@ -105,9 +106,8 @@ def judge_poses(
     # Objects at rest sleep until touched: half the time, the same verdicts.
     world.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
     state = world.save()
-    tcp_from_gripper = np.linalg.inv(np.asarray(gripper.gripper_from_tcp, np.float64))
     world_from_gripper: NDArray[np.float64] = np.asarray(
-        world_from_tcp @ tcp_from_gripper, np.float64
+        world_from_tcp @ gripper.tcp_from_gripper, np.float64
     )
     start = start_depths(world, world_from_gripper)
     depth = start.copy()

@@ -14,6 +14,9 @@ from numpy.typing import ArrayLike
 
 __all__ = ["PlannerClient", "PlannerError"]
 
+LONGEST_QUERY = 8000
+"""Longer options travel in the body: servers and proxies cut addresses (characters)."""
+
 
 class PlannerError(Exception):
     """The planner refused or failed.
@@ -54,20 +57,29 @@ class PlannerClient:
         """Ranked grasps, the content of grasps.json.
 
         Args:
-            points: (N, 3) metres.
+            points: (N, 3) metres; float32 goes as it is, all else as float64.
             labels: (N,) objects of a mask.
-            options: of `SynthesisRequest`; arrays become lists.
+            options: of `SynthesisRequest`; arrays become lists, and a `sensor` (N, 3) the cloud's
+                viewpoint.
 
         Raises:
             PlannerError: a bad request, a busy planner, or nobody there.
         """
-        body = io.BytesIO()
-        arrays: dict[str, np.ndarray] = {"points": np.asarray(points, dtype=np.float32)}
+        given = np.asarray(points)
+        # Places on a map have seven digits before the millimetres.
+        arrays = {"points": given if given.dtype == np.float32 else given.astype(np.float64)}
         if labels is not None:
             arrays["labels"] = np.asarray(labels, dtype=np.int32)
+        sensor = options.get("sensor")
+        if sensor is not None and np.ndim(sensor) == 2:
+            arrays["viewpoint"] = np.asarray(options.pop("sensor"), dtype=np.float64)
+        text = json.dumps({name: _plain(value) for name, value in options.items()})
+        query = urllib.parse.urlencode({"request": text})
+        if len(query) > LONGEST_QUERY:
+            arrays["request"] = np.frombuffer(text.encode(), dtype=np.uint8)
+            query = "request=body"
+        body = io.BytesIO()
         np.savez(body, **arrays)  # type: ignore[arg-type]
-        plain = {name: _plain(value) for name, value in options.items()}
-        query = urllib.parse.urlencode({"request": json.dumps(plain)})
         return self._send(f"/synthesize?{query}", body.getvalue())
 
     def set_gripper(self, name: str) -> dict[str, Any]:
@@ -98,4 +110,6 @@ class PlannerClient:
 
 
 def _plain(value: Any) -> Any:
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
     return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value

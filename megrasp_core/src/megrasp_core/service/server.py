@@ -18,7 +18,7 @@ from megrasp_core.grippers import Gripper, list_grippers
 from megrasp_core.lie import pose7_from_matrix
 from megrasp_core.synthesizer import GraspSynthesizer
 
-from .wire import cloud_of, request_of
+from .wire import cloud_of, options_in, request_of
 
 __all__ = ["PlannerServer"]
 
@@ -39,7 +39,8 @@ class PlannerServer:
 
         GET  /status
         POST /gripper              {"name": "franka_hand"}
-        POST /synthesize?request=  a cloud file; options of `SynthesisRequest` as JSON
+        POST /synthesize?request=  a cloud file; options of `SynthesisRequest` as JSON, or "body"
+            where they are in the array `request` of a .npz
 
     Grippers are named as in the registry, never by a path. Errors are
     {"error": {"code": ..., "message": ...}} with the codes of docs/ros.md.
@@ -225,7 +226,9 @@ class _Handler(BaseHTTPRequestHandler):
         if (method, url.path) == ("POST", "/synthesize"):
             planner.check_free()
             given = urllib.parse.parse_qs(url.query).get("request", ["{}"])[0]
-            return HTTPStatus.OK, planner.synthesize(self._body(), _object(given.encode()))
+            body = self._body()
+            options = _object(options_in(body) if given == "body" else given.encode())
+            return HTTPStatus.OK, planner.synthesize(body, options)
         return self._refused(
             HTTPStatus.NOT_FOUND,
             f"there is no {method} {url.path[:100]}; expected GET /status, POST /gripper or POST "

@@ -10,7 +10,7 @@ from .motion import Shake
 from .noise_presets import NOISES, noise_named
 from .rendering import Snapshot, observe, render_depth, render_view
 from .rigs import ViewName, rig, sparse_camera
-from .start_collision import approach_path, start_contacts, start_depths
+from .start_collision import START_DEPTH, approach_path, start_contacts, start_depths
 from .support import Bin
 from .variation import Variation, varied
 from .verdict import Reason, TrialSettings, Verdict, judge
@@ -30,6 +30,7 @@ __all__ = [
     "Light",
     "NOISES",
     "Reason",
+    "START_DEPTH",
     "SettledScene",
     "Shake",
     "Snapshot",

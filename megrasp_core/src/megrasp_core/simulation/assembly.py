@@ -87,10 +87,17 @@ def add_object(
 ) -> None:
     """Add free body "object_<index>", whose origin is the object's centre of mass.
 
-    asset: prefix of the mesh names, shared by equal objects; `new_asset` says whether to add the
-        meshes. gravcomp is non-zero here because MuJoCo drops the term for good if no body has it
-        at compile time.
+    Args:
+        spec: to add it to.
+        index: number of the object.
+        model: the object.
+        asset: prefix of the mesh names, shared by equal objects.
+        new_asset: whether to add the meshes.
+        friction: sliding, torsional (m), rolling (m).
+        conaffinity: bits of what it touches.
+        visual: whether to add the visual mesh.
     """
+    # gravcomp is not 0, because MuJoCo drops the term for good if no body has it at compile time.
     body = spec.worldbody.add_body(name=f"object_{index}", gravcomp=1.0)
     body.add_freejoint(name=f"object_{index}")
     inertia = np.asarray(model.inertia, dtype=np.float64)
@@ -196,7 +203,23 @@ def assemble(
     guard: Guard | None,
     locked: bool,
 ) -> mujoco.MjModel:
-    """Compile the model; objects are "object_0".., arguments as of `build_world`."""
+    """Compile the model of a world.
+
+    Args:
+        objects: bodies "object_0"..; equal ones share their meshes.
+        gripper: a gripper that is moved by setting its pose; None: none.
+        bin: on the table; None: the table alone.
+        table: whether there is a support at all.
+        friction: sliding friction of everything; None: each object's own, and 0.8 of the support.
+        timestep: (s).
+        gravity: whether it pulls.
+        visual: whether to add the objects' visual meshes.
+        guard: walls that keep falling objects in; None: none.
+        locked: whether joints that the gripper's grasps do not move are fixed.
+
+    Raises:
+        ValueError: MuJoCo cannot compile it.
+    """
     spec = mujoco.MjSpec()
     set_options(spec, timestep, gravity)
     sliding = 0.8 if friction is None else friction

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from megrasp_core.errors import InvalidRequestError
+from megrasp_core.ranges import FROM_ONE, POSITIVE, Range, check_ranges
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,11 +29,13 @@ class Camera:
 
     def __post_init__(self) -> None:
         """Check the numbers."""
-        if self.width < 1 or self.height < 1 or not 0.0 < self.fovy < np.pi:
-            raise InvalidRequestError(
-                f"camera of {self.width} x {self.height} pixels with fovy {self.fovy} rad; "
-                "expected at least 1 x 1 pixels and an angle between 0 and pi"
-            )
+        check_ranges(
+            self,
+            width=FROM_ONE,
+            height=FROM_ONE,
+            fovy=Range(above=0, below=np.pi, unit="rad"),
+            far=POSITIVE,
+        )
 
     @property
     def position(self) -> NDArray[np.float64]:
@@ -115,7 +117,17 @@ def ring_cameras(
     height_px: int = 240,
     fovy: float = 0.65,
 ) -> list[Camera]:
-    """Return `count` cameras around a point, by turns at a low and a high elevation (rad)."""
+    """Cameras around a point, by turns low and high, which look at it.
+
+    Args:
+        count: how many.
+        centre: (3,) the point, world frame (m).
+        distance: from it (m).
+        elevation: the low and the high one over level (rad).
+        width_px: of the images.
+        height_px: of the images.
+        fovy: vertical field of view (rad).
+    """
     cameras = []
     for index in range(count):
         azimuth = 2.0 * np.pi * index / count

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from megrasp_core.errors import InvalidRequestError
+from megrasp_core.ranges import LENGTH, SHARE, Range, check_ranges
 
 from .view import View
 
@@ -65,7 +66,30 @@ class DepthNoise:
     off: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        check_ranges(
+            self,
+            axial_base=LENGTH,
+            axial_square=LENGTH,
+            slant_gain=Range(1),
+            correlated=SHARE,
+            correlation=LENGTH,
+            step_square=LENGTH,
+            jump=LENGTH,
+            edge_loss=SHARE,
+            edge_mix=SHARE,
+            steep=Range(0, 1, several=True),
+            shiny_share=SHARE,
+            shiny_cosine=SHARE,
+            shiny_patch=SHARE,
+            baseline=LENGTH,
+            max_range=Range(above=0, optional=True, unit="m"),
+            far_wall=SHARE,
+        )
         """Check the names of the effects."""
+        if len(self.steep) != 2 or self.steep[0] <= self.steep[1]:
+            raise InvalidRequestError(
+                f"steep {self.steep} was given; expected two cosines, the first one larger."
+            )
         unknown = sorted(set(self.off) - set(EFFECTS))
         if unknown:
             raise InvalidRequestError(

@@ -17,7 +17,7 @@ from .idle import IdleParts, idle_parts
 if TYPE_CHECKING:
     from megrasp_core.grippers import Gripper
 
-Posture = Literal["open", "closed"] | float
+HandPosture = Literal["open", "closed"] | float
 """By name, or as a share of the way from open to closed (`Gripper.stroke`)."""
 
 
@@ -72,7 +72,7 @@ class Hand:
         ]
         self._dof = np.flatnonzero(np.isin(model.dof_bodyid, bodies))
 
-    def place(self, world_from_gripper: NDArray[np.float64], posture: Posture) -> None:
+    def place(self, world_from_gripper: NDArray[np.float64], posture: HandPosture) -> None:
         """Put the gripper, at rest in a posture, at a pose (4, 4), driven to hold that posture."""
         data = self._data
         write_pose(data.qpos, self._mount, world_from_gripper)
@@ -86,7 +86,7 @@ class Hand:
         self._ctrl[:] = control
 
     def _posture(
-        self, posture: Posture
+        self, posture: HandPosture
     ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
         """Addresses and values of the joints, and the control."""
         if not isinstance(posture, str):

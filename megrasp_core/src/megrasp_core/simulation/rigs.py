@@ -24,8 +24,17 @@ def sparse_camera(
     height_px: int = 480,
     fovy: float = 0.65,
 ) -> Camera:
-    """One camera that looks at `centre` from any side, between a low and a high elevation (rad)
-    and from a distance in a range (m), all drawn evenly.
+    """One camera that looks at a point from any side; side, elevation and distance are drawn
+    evenly.
+
+    Args:
+        rng: of the draws.
+        centre: (3,) the point, world frame (m).
+        distance: least and largest (m).
+        elevation: least and largest over level (rad).
+        width_px: of the image.
+        height_px: of the image.
+        fovy: vertical field of view (rad).
     """
     azimuth, lift = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(*elevation)
     away = [np.cos(lift) * np.cos(azimuth), np.cos(lift) * np.sin(azimuth), np.sin(lift)]

@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from .assembly import GRIPPER_CONTYPE
-from .hand import Posture
+from .hand import HandPosture
 from .world import GRIPPER, World
+
+START_DEPTH = 0.001
+"""Deepest penetration (m) of the open gripper that still counts as free."""
 
 
 def start_depths(
-    world: World, world_from_gripper: NDArray[np.float64], *, posture: Posture = "open"
+    world: World, world_from_gripper: NDArray[np.float64], *, posture: HandPosture = "open"
 ) -> NDArray[np.float64]:
     """Deepest penetration (m) of the open gripper with anything at each pose (n, 4, 4): (n,).
 

@@ -83,8 +83,16 @@ def add_support(
     solref: tuple[float, ...],
     solimp: tuple[float, ...],
 ) -> None:
-    """Add the table plane "table" and, if given, the boxes "bin_0".. of the bin to the world
-    body.
+    """Add the table plane "table" and the boxes "bin_0".. of the bin to the world body.
+
+    Args:
+        spec: to add them to.
+        bin: the bin; None: the table alone.
+        contype: bits of what they are to others.
+        conaffinity: bits of what they touch.
+        friction: sliding, torsional (m), rolling (m).
+        solref: of their contacts, as MuJoCo has it.
+        solimp: likewise.
     """
     common = {
         "contype": contype,

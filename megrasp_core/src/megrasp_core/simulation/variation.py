@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from megrasp_core.errors import SimulationError
+from megrasp_core.ranges import Range, check_ranges
 
 from .world import GRIPPER, World
 
@@ -47,12 +48,13 @@ class Variation:
     force: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("friction", "mass", "force"):
-            value = getattr(self, name)
-            if value is not None and not 0.0 < value < np.inf:
-                raise SimulationError(
-                    f"{name} {value} was given for a trial; expected a positive number."
-                )
+        check_ranges(
+            self,
+            SimulationError,
+            friction=Range(above=0, optional=True),
+            mass=Range(above=0, optional=True),
+            force=Range(above=0, optional=True),
+        )
 
 
 @contextmanager

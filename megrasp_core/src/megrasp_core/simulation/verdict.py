@@ -33,7 +33,7 @@ from .motion import (
     smooth,
     step_times,
 )
-from .start_collision import approach_path, start_depths
+from .start_collision import START_DEPTH, approach_path, start_depths
 from .world import GRIPPER, SCENERY, World
 
 OnPhase = Callable[[str], None]
@@ -73,7 +73,7 @@ class TrialSettings:
             the bin.
     """
 
-    max_depth: float = 0.001
+    max_depth: float = START_DEPTH
     approach_poses: int = 10
     close_time: float = 0.6
     close_ramp: float = 0.4

@@ -14,7 +14,7 @@ from megrasp_core.errors import SimulationError
 
 from .assembly import GRIPPER_PREFIX, GUARD_CONTYPE, Guard, assemble
 from .coordinates import read_pose, write_pose
-from .hand import Hand, Posture
+from .hand import Hand, HandPosture
 from .support import Bin
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ class World:
         return self._hand
 
     def place_gripper(
-        self, world_from_gripper: NDArray[np.float64], posture: Posture = "open"
+        self, world_from_gripper: NDArray[np.float64], posture: HandPosture = "open"
     ) -> None:
         """Put the gripper, at rest in a posture, at a pose (4, 4), driven to hold that posture."""
         self.hand.place(world_from_gripper, posture)
@@ -189,10 +189,6 @@ class World:
         pose[:3, 3] = PARKED_AT
         pose[1, 3] += 10.0
         self.hand.place(pose, "open")
-
-    def gripper_pose(self) -> NDArray[np.float64]:
-        """World-from-gripper (4, 4) where the gripper is now."""
-        return self.hand.pose()
 
     def gripper_depth(self) -> float:
         """Deepest penetration of the gripper with anything, m; 0 if nothing is touched.
@@ -287,15 +283,23 @@ def build_world(
 ) -> World:
     """Compile a world: support surface z = 0, z up.
 
-    friction: sliding friction of everything; None takes each object's own (0.8 by default).
-    obstacles: indices of objects that must not be lifted.
-    object_poses: world-from-object (n, 4, 4); without it all objects start parked out of the
-        scene.
-    visual: whether to add the visual meshes to the MuJoCo model, which only MuJoCo's own viewer
-        needs.
-    table: whether there is a support at all (free space has none).
-    locked: whether joints that the gripper's grasps do not move are fixed (`idle.py`).
-    Raises SimulationError when MuJoCo cannot compile the model.
+    Args:
+        objects: in it.
+        gripper: in it, parked out of the scene; None: none.
+        bin: on the table; None: the table alone.
+        friction: sliding friction of everything; None: each object's own (0.8 by default).
+        timestep: (s).
+        gravity: whether it pulls.
+        obstacles: indices of objects that must not be lifted.
+        object_poses: world_from_object (n, 4, 4); None: all objects start parked out of the scene.
+        table: whether there is a support at all (free space has none).
+        visual: whether to add the visual meshes to the MuJoCo model, which only MuJoCo's own
+            viewer needs.
+        guard: walls that keep falling objects in; None: none.
+        locked: whether joints that the gripper's grasps do not move are fixed (`idle.py`).
+
+    Raises:
+        SimulationError: an obstacle is no object, or MuJoCo cannot compile the model.
     """
     wrong = [i for i in obstacles if not 0 <= i < len(objects)]
     if wrong:

@@ -13,7 +13,7 @@ from megrasp_core.errors import DataError
 from .files import DamagedError, NpzFile, leftovers, open_npz, set_aside, write_npz
 from .inspection import record_problems
 from .records import SceneRecord
-from .scene_dataset import read_manifest, read_record, scene_files, shard_names
+from .scene_dataset import SCENE_NAME, read_manifest, read_record, scene_files, shard_names
 
 Progress = Callable[[int, int], object]
 
@@ -171,15 +171,15 @@ def _scenes_in(file: NpzFile) -> list[str]:
 
 def _names_in_bytes(path: Path) -> list[str]:
     """Names of the scenes in a shard that cannot be opened: they stand before every array."""
-    found = re.findall(rb"scene_\d{10}(?=/)", path.read_bytes())
-    return sorted({name.decode() for name in found})
+    found = re.finditer(rb"%b(?=/)" % SCENE_NAME.encode(), path.read_bytes())
+    return sorted({name[0].decode() for name in found})
 
 
 def _spans(names: Iterable[str]) -> str:
     """Names, those of consecutive scenes joined."""
 
     def place(item: tuple[int, str]) -> str | int:
-        digits = re.fullmatch(r"scene_(\d+)", item[1])
+        digits = re.fullmatch(SCENE_NAME, item[1])
         return int(digits[1]) - item[0] if digits else item[1]
 
     parts: list[str] = []

@@ -95,7 +95,7 @@ class GripperLabels:
         reason: (K,) str, why it failed; "" for successes.
         extra: (K,) int8, objects lifted besides the target (`Verdict.extra`), or NOT_TRIED.
         robust: (K,) int8, how many of ROBUST_TRIALS under other conditions it held
-            (`scenes.robust_labels`), or NOT_TRIED.
+            (`scenes/robust.py`), or NOT_TRIED.
     """
 
     world_from_tcp: NDArray[np.float32]
@@ -118,7 +118,20 @@ class GripperLabels:
         extra: ArrayLike = NOT_TRIED,
         robust: ArrayLike = NOT_TRIED,
     ) -> GripperLabels:
-        """Labels of poses (K, 4, 4) or (K, 7); everything else is of length K, or one for all."""
+        """Labels of K grasps; what is given besides the poses is of length K, or one for all.
+
+        Args:
+            world_from_tcp: (K, 4, 4) or (K, 7) poses of the TCP at the pre-grasp.
+            object: index into the scene's objects.
+            label: 1 success, 0 failure.
+            kind: of all of them.
+            reason: why it failed; "" for successes.
+            extra: objects lifted besides the target, or NOT_TRIED.
+            robust: how many of ROBUST_TRIALS it held, or NOT_TRIED.
+
+        Raises:
+            ValueError: a length is another one.
+        """
         poses = np.asarray(world_from_tcp)
         if poses.ndim == 3:
             poses = np.asarray(pose7_from_matrix(poses)).reshape(-1, 7)

@@ -28,6 +28,10 @@ READABLE = (1, 2)
 """Format 1 keeps the inner size of a bin and nothing else of it."""
 
 
+SCENE_NAME = r"scene_(\d{10,})"
+"""Names that `scene_name` makes; times in nanoseconds have more than ten digits."""
+
+
 def scene_name(seed: int) -> str:
     """Name of the scene that a seed makes."""
     return f"scene_{seed:010d}"

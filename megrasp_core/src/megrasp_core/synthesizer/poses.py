@@ -68,8 +68,7 @@ def scene_from_tcp(
 
 def pose_set(tcp: np.ndarray, gripper: Gripper, request: SynthesisRequest) -> PoseSet:
     """Gripper and approach poses of TCP poses (N, 4, 4), all in the frame of the cloud."""
-    tcp_from_gripper = np.linalg.inv(np.asarray(gripper.gripper_from_tcp, dtype=np.float64))
-    world_from_gripper = tcp @ tcp_from_gripper
+    world_from_gripper = tcp @ gripper.tcp_from_gripper
     approach = world_from_gripper.copy()
     back = -world_from_gripper[:, :3, 2]
     if request.approach_direction == "gravity" and request.gravity is not None:

@@ -6,13 +6,14 @@ import math
 import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from megrasp_core.errors import GravityError, InvalidRequestError
+from megrasp_core.errors import CloudError, GravityError, InvalidRequestError
 from megrasp_core.limits import MAX_DRAWN, MAX_GRASPS
-from megrasp_core.pointcloud import OrientedBox, Plane, level_floor
+from megrasp_core.pointcloud import OrientedBox, Plane, level_floor, unit_gravity
+from megrasp_core.ranges import ANY, SHARE, Range, check_ranges
 
 __all__ = ["LAYER", "MAX_DRAWN", "MAX_GRASPS", "Mode", "Prefer", "SynthesisRequest"]
 
@@ -55,7 +56,8 @@ class SynthesisRequest:
             highest against gravity, within `LAYER` the best score; `clear`: the most clearance.
 
     Raises:
-        InvalidRequestError: an argument is outside its range.
+        InvalidRequestError: an argument is of another type or outside its range.
+        CloudError: the sensor is no place.
         GravityError: gravity is no direction, or is needed and not given.
     """
 
@@ -96,45 +98,36 @@ class SynthesisRequest:
 
     def __post_init__(self) -> None:
         """Check every argument and bring the arrays to float64."""
-        n = _whole("num_grasps", self.num_grasps, 1, MAX_GRASPS, "Ask for fewer grasps.")
-        drawn = _whole("drawn", self.drawn, 1, MAX_DRAWN, "Draw fewer poses.")
-        if self.mode not in ("default", "fast"):
-            raise InvalidRequestError(
-                f"mode {self.mode!r} was given; expected 'default' or 'fast'."
-            )
+        check_ranges(
+            self,
+            num_grasps=Range(1, MAX_GRASPS, whole=True),
+            drawn=Range(1, MAX_DRAWN, whole=True),
+            max_tilt=Range(high=math.pi, above=0, optional=True, unit="rad"),
+            approach_distance=Range(0, 1, unit="m"),
+            exclude_radius=Range(0, unit="m"),
+            seed=Range(0, 2**63 - 1, whole=True, optional=True),
+            target=Range(1, 2**31 - 1, whole=True, optional=True),
+            min_score=SHARE,
+        )
+        _one_of("mode", self.mode, get_args(Mode))
+        _one_of("approach_direction", self.approach_direction, ("tool", "gravity"))
+        _one_of("prefer", self.prefer, get_args(Prefer))
+        for name in ("walls", "assume_empty", "keep_all"):
+            self._set(name, _yes_or_no(name, getattr(self, name)))
+        n = int(self.num_grasps)
         # More cannot be returned than are drawn, and `fast` draws what it returns.
         self._set("num_grasps", n)
-        self._set("drawn", n if self.mode == "fast" else max(drawn, n))
-        self._set("gravity", _direction(_array("gravity", self.gravity)))
-        self._set("sensor", _array("sensor", self.sensor))
+        self._set("drawn", n if self.mode == "fast" else max(int(self.drawn), n))
+        if self.gravity is not None:
+            self._set("gravity", unit_gravity(_numbers("gravity", self.gravity)))
+        self._set("sensor", _places(self.sensor))
         if self.region is not None:
+            if not isinstance(self.region, OrientedBox):
+                raise InvalidRequestError(
+                    f"region {_short(self.region)} was given; expected an OrientedBox, or none."
+                )
             self.region.check_units()
         self._set("floor", _floor(self.floor, self.gravity))
-        if self.max_tilt is not None and not 0 < self.max_tilt <= math.pi:
-            raise InvalidRequestError(
-                f"max_tilt {self.max_tilt} was given; expected an angle over 0 and up to pi "
-                "(rad), or none."
-            )
-        if not 0 <= self.approach_distance <= 1:
-            raise InvalidRequestError(
-                f"approach_distance {self.approach_distance} was given; expected 0 to 1 m."
-            )
-        if self.approach_direction not in ("tool", "gravity"):
-            raise InvalidRequestError(
-                f"approach_direction {self.approach_direction!r} was given; expected 'tool' or "
-                "'gravity'."
-            )
-        if self.prefer not in ("score", "high", "clear"):
-            raise InvalidRequestError(
-                f"prefer {self.prefer!r} was given; expected 'score', 'high' or 'clear'."
-            )
-        if not 0 <= self.min_score <= 1:
-            raise InvalidRequestError(
-                f"min_score {self.min_score} was given; expected a probability, 0 to 1."
-            )
-        if self.target is not None:
-            advice = "Give a label of the mask."
-            self._set("target", _whole("target", self.target, 1, 2**31 - 1, advice))
         if self.gravity is None and (
             self.approach_direction == "gravity"
             or self.max_tilt is not None
@@ -145,16 +138,9 @@ class SynthesisRequest:
                 "frame of the cloud, because an approach along gravity, a largest tilt or the "
                 "highest grasps first were asked for. Give gravity."
             )
-        if not (np.isfinite(self.exclude_radius) and self.exclude_radius >= 0):
-            raise InvalidRequestError(
-                f"exclude_radius {self.exclude_radius} was given; expected a length of at least 0 "
-                "m."
-            )
         self._set("exclude", _poses(self.exclude))
-        if self.seed is None:
-            self._set("seed", secrets.randbits(32))
-        else:
-            self._set("seed", _whole("seed", self.seed, 0, 2**63 - 1, "Give another one."))
+        self._set("seed", secrets.randbits(32) if self.seed is None else int(self.seed))
+        self._set("target", None if self.target is None else int(self.target))
 
     def moved(self, offset: np.ndarray) -> SynthesisRequest:
         """The same request for a cloud that was moved by `offset` (3,) (m)."""
@@ -175,54 +161,62 @@ class SynthesisRequest:
         object.__setattr__(self, name, value)
 
 
-def _array(name: str, value: Vector | None) -> np.ndarray | None:
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 100 else f"{text[:100]}..."
+
+
+def _one_of(name: str, value: object, known: tuple[str, ...]) -> None:
+    if not isinstance(value, str) or value not in known:
+        *others, last = map(repr, known)
+        raise InvalidRequestError(
+            f"{name} {_short(value)} was given; expected {', '.join(others)} or {last}."
+        )
+
+
+def _yes_or_no(name: str, value: object) -> bool:
+    if not isinstance(value, (bool, np.bool_)):
+        raise InvalidRequestError(f"{name} {_short(value)} was given; expected true or false.")
+    return bool(value)
+
+
+def _numbers(name: str, value: object) -> np.ndarray:
+    try:
+        array = np.asarray(value)
+    except ValueError:  # rows of different lengths
+        array = np.array(None)
+    if array.dtype.kind not in "fiu":
+        raise InvalidRequestError(
+            f"{name} {_short(value)} was given; expected numbers, for example (0, 0, -1)."
+        )
+    return array.astype(np.float64)
+
+
+def _places(value: Vector | None) -> np.ndarray | None:
     if value is None:
         return None
-    try:
-        return np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InvalidRequestError(
-            f"{name} {value!r} was given ({error}); expected numbers, for example (0, 0, -1)."
-        ) from None
-
-
-def _whole(name: str, value: object, low: int, high: int, advice: str) -> int:
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, (int, np.integer))
-        or not low <= value <= high
-    ):
-        raise InvalidRequestError(
-            f"{name} {value!r} was given; expected a whole number from {low} to {high}. {advice}"
+    places = _numbers("sensor", value)
+    if places.ndim not in (1, 2) or places.shape[-1] != 3:
+        raise CloudError(
+            f"the sensor's place has the shape {places.shape}; expected three finite numbers (x, "
+            "y, z) in the cloud's frame, or (N, 3), one place for each point."
         )
-    return int(value)
-
-
-def _direction(vector: np.ndarray | None) -> np.ndarray | None:
-    if vector is None:
-        return None
-    length = float(np.linalg.norm(vector)) if vector.shape == (3,) else math.nan
-    if not math.isfinite(length) or length < 1e-6:
-        raise GravityError(
-            f"gravity {vector.tolist()} was given; expected three numbers that point down in the "
-            "frame of the cloud, for example 0 0 -1 where z is up."
-        )
-    return vector / length
+    return places
 
 
 def _floor(floor: Plane | float | None, gravity: Vector | None) -> Plane | None:
     if floor is None or isinstance(floor, Plane):
         return floor
-    if isinstance(floor, bool) or not isinstance(floor, (int, float)) or not math.isfinite(floor):
+    if not ANY.takes(floor):
         raise InvalidRequestError(
-            f"floor {floor!r} was given; expected a height (m), a Plane, or none."
+            f"floor {_short(floor)} was given; expected a height (m), a Plane, or none."
         )
-    return level_floor(floor, None if gravity is None else np.asarray(gravity))
+    return level_floor(float(floor), None if gravity is None else np.asarray(gravity))
 
 
 def _poses(poses: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
-    stack = np.asarray(poses, dtype=np.float64)
-    if stack.size == 0:
+    stack = _numbers("exclude", poses)
+    if stack.ndim and stack.size == 0:
         return np.zeros((0, 4, 4))
     if stack.shape == (4, 4):
         stack = stack[None]

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from megrasp_core.diffusion import SamplerSettings
-from megrasp_core.errors import InvalidRequestError
 from megrasp_core.pointcloud import SceneSettings
+from megrasp_core.ranges import COUNT, FROM_ONE, LENGTH, check_ranges
 from megrasp_core.ranking import (
     CheckSettings,
     ContactSettings,
@@ -49,6 +49,12 @@ class RankingSettings:
     sweep: SweepSettings = field(default_factory=SweepSettings)
     least_room: float = 0.012
 
+    def __post_init__(self) -> None:
+        check_ranges(
+            self,
+            least_room=LENGTH,
+        )
+
 
 @dataclass(frozen=True)
 class PolishSettings:
@@ -71,11 +77,15 @@ class PolishSettings:
     shrink: float = 0.7
 
     def __post_init__(self) -> None:
-        if min(self.candidates, self.rounds) < 0 or self.moves < 1:
-            raise InvalidRequestError(
-                f"candidates {self.candidates}, rounds {self.rounds}, moves {self.moves} were "
-                "given; expected at least 0, 0 and 1."
-            )
+        check_ranges(
+            self,
+            candidates=COUNT,
+            rounds=COUNT,
+            moves=FROM_ONE,
+            distance=LENGTH,
+            angle=LENGTH,
+            shrink=LENGTH,
+        )
 
 
 @dataclass(frozen=True)
@@ -103,6 +113,13 @@ class SynthesizerSettings:
     probe: ProbeSettings = field(default_factory=ProbeSettings)
     scene: SceneSettings | None = None
     gripper_seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_ranges(
+            self,
+            refined=COUNT,
+            gripper_seed=COUNT,
+        )
 
     def without(self, stages: Collection[Stage]) -> SynthesizerSettings:
         """The same without some stages, to measure what each of them gains."""

@@ -32,6 +32,8 @@ from .trace import OnTrace
 
 __all__ = ["GraspSynthesizer"]
 
+KEPT_GRIPPERS = 64
+"""Grippers whose codes and probes are kept: one or two MB each."""
 FAR = 100.0
 """Farther from the origin (m) a scene is moved there for the time of a synthesis."""
 
@@ -156,7 +158,8 @@ class GraspSynthesizer:
             ModelError: the default model for its kind is missing; likewise.
         """
         loaded = gripper if isinstance(gripper, Gripper) else load_gripper(gripper)
-        if loaded.hash not in self._encoded:
+        mounted = self._encoded.pop(loaded.hash, None)
+        if mounted is None:
             model = self.model_for(loaded)
             with self._running():
                 tokens = loaded.tokens(
@@ -164,8 +167,11 @@ class GraspSynthesizer:
                 )
                 code = model.encode_gripper(tokens)
             probe = gripper_probe(loaded, self.settings.probe)
-            self._encoded[loaded.hash] = MountedGripper(loaded, model, code, probe)
-        self._mounted = self._encoded[loaded.hash]
+            mounted = MountedGripper(loaded, model, code, probe)
+        # The one used last is the last; the one unused for longest goes.
+        self._encoded[loaded.hash] = self._mounted = mounted
+        while len(self._encoded) > KEPT_GRIPPERS:
+            del self._encoded[next(iter(self._encoded))]
         return self._mounted.gripper
 
     def synthesize(

@@ -18,7 +18,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import Tensor
 
-from megrasp_core.errors import DataError
+from megrasp_core.errors import DataError, MegraspError
 from megrasp_core.network import GraspModel
 
 from .config import Counters, TrainConfig
@@ -72,7 +72,15 @@ def save_checkpoint(
     optimiser: torch.optim.AdamW,
     state: CheckpointState,
 ) -> None:
-    """Write everything that a run needs to go on; a killed write leaves the former checkpoint."""
+    """Write everything that a run needs to go on; a killed write leaves the former checkpoint.
+
+    Args:
+        folder: to write into; made where it is missing.
+        model: with the weights as they are trained.
+        ema: averaged weights by name.
+        optimiser: whose moments are kept.
+        state: all else.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     weights = model.state_dict()
     packing = _Packing()
@@ -117,7 +125,7 @@ def read_state(folder: Path) -> CheckpointState:
     Raises:
         DataError: no checkpoint, a damaged one, or one of another version.
     """
-    return _state(_content(folder))
+    return _state(folder, _content(folder))
 
 
 def load_checkpoint(
@@ -150,9 +158,9 @@ def load_checkpoint(
                     "exp_avg": unpacked(f"first.{name}").to(parameter),
                     "exp_avg_sq": unpacked(f"second.{name}").square().to(parameter),
                 }
-    except (OSError, SafetensorError, RuntimeError, KeyError) as error:
+    except (OSError, SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
         raise _unusable(folder, error) from error
-    return _state(content)
+    return _state(folder, content)
 
 
 def _content(folder: Path) -> dict[str, Any]:
@@ -166,19 +174,25 @@ def _content(folder: Path) -> dict[str, Any]:
         raise _unusable(folder, error) from error
 
 
-def _state(content: dict[str, Any]) -> CheckpointState:
-    return CheckpointState(
-        TrainConfig.from_dict(content["config"]),
-        Counters(**content["counters"]),
-        tuple((scene, gripper) for scene, gripper in content["validation"]),
-        content["own_validation"],
-        content["hashes"],
-        content["facts"],
-    )
+def _state(folder: Path, content: dict[str, Any]) -> CheckpointState:
+    try:
+        return CheckpointState(
+            TrainConfig.from_dict(content["config"]),
+            Counters(**content["counters"]),
+            tuple((scene, gripper) for scene, gripper in content["validation"]),
+            content["own_validation"],
+            content["hashes"],
+            content["facts"],
+        )
+    except DataError:
+        raise
+    # Of another version: a field is missing, new, of another type or out of its range.
+    except (MegraspError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise _unusable(folder, error) from error
 
 
 def _unusable(folder: Path, error: Exception) -> DataError:
     return DataError(
-        f"checkpoint in {folder} cannot be resumed ({error}); expected {TENSORS} written by this "
-        "version for the same network. Start a new run in another --out."
+        f"checkpoint in {folder} cannot be resumed ({error!r}); expected {TENSORS} written by "
+        "this version for the same network. Start a new run in another --out."
     )

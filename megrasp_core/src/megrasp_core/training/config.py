@@ -8,6 +8,16 @@ from typing import Any, Literal
 from megrasp_core.diffusion import SamplerSettings
 from megrasp_core.errors import DataError, InvalidRequestError
 from megrasp_core.network import PRESETS, ModelConfig
+from megrasp_core.ranges import (
+    COUNT,
+    FROM_ONE,
+    LENGTH,
+    POSITIVE,
+    SHARE,
+    WEIGHT,
+    Range,
+    check_ranges,
+)
 
 GRIPPERS = (
     "robotiq_2f85",
@@ -102,18 +112,36 @@ class TrainConfig:
     """Of weights, scenes, poses and noise."""
 
     def __post_init__(self) -> None:
-        counts = ("total_poses", "scenes_per_step", "poses_per_scene", "grippers_per_scene",
-                  "node_sets", "confidence_every")  # fmt: skip
-        wrong = [f"{name} {getattr(self, name)}" for name in counts if getattr(self, name) < 1]
-        shares = {"procedural_share": self.procedural_share, "constant_share": self.constant_share}
-        if self.low_levels is not None:
-            shares["low_levels"] = self.low_levels
-        wrong += [f"{name} {value}" for name, value in shares.items() if not 0.0 <= value < 1.0]
-        if wrong:
-            raise InvalidRequestError(
-                f"{', '.join(wrong)} was given; expected counts of at least 1 and shares from 0 "
-                "to below 1."
-            )
+        check_ranges(
+            self,
+            procedural_share=Range(0, below=1),
+            hand_weight=WEIGHT,
+            total_poses=FROM_ONE,
+            scenes_per_step=FROM_ONE,
+            poses_per_scene=FROM_ONE,
+            grippers_per_scene=FROM_ONE,
+            learning_rate=POSITIVE,
+            weight_decay=WEIGHT,
+            warmup_steps=COUNT,
+            constant_share=Range(0, below=1),
+            ema_decay=Range(0, below=1),
+            gradient_clip=POSITIVE,
+            gravity_dropout=SHARE,
+            point_jitter=LENGTH,
+            node_sets=FROM_ONE,
+            low_levels=Range(0, below=1, optional=True),
+            score_weight=WEIGHT,
+            graspability_weight=WEIGHT,
+            graspability_radius=LENGTH,
+            tried_radius=LENGTH,
+            confidence_weight=WEIGHT,
+            confidence_every=FROM_ONE,
+            confidence_poses=COUNT,
+            validation_pairs=COUNT,
+            validation_poses=COUNT,
+            checkpoint_seconds=LENGTH,
+            seed=COUNT,
+        )
         if self.heads_only and self.confidence_weight * self.confidence_poses <= 0:
             raise InvalidRequestError(
                 f"training of the heads alone was given with confidence_weight "

@@ -34,6 +34,7 @@ from megrasp_core.grippers import (
 from megrasp_core.lie import PoseBatch, so3
 from megrasp_core.network import GraspModel, GripperCode, SceneField
 from megrasp_core.pointcloud import scene_nodes
+from megrasp_core.ranges import COUNT, FROM_ONE, LENGTH, POSITIVE, WEIGHT, Range, check_ranges
 
 from .batching import varied
 from .given_grasps import GivenScene
@@ -97,18 +98,26 @@ class FinetuneConfig:
     """Of everything drawn."""
 
     def __post_init__(self) -> None:
-        counts = ("steps", "check_every", "scenes_per_step", "poses_per_scene", "head_poses",
-                  "node_sets", "validation_poses")  # fmt: skip
-        wrong = [f"{name} {getattr(self, name)}" for name in counts if getattr(self, name) < 1]
-        if self.folds < 2:
-            wrong.append(f"folds {self.folds}")
-        if self.learning_rate <= 0:
-            wrong.append(f"learning_rate {self.learning_rate}")
-        if wrong:
-            raise InvalidRequestError(
-                f"{', '.join(wrong)} was given; expected counts of at least 1, at least 2 folds "
-                "and a learning_rate over 0."
-            )
+        check_ranges(
+            self,
+            steps=FROM_ONE,
+            check_every=FROM_ONE,
+            folds=Range(2, whole=True),
+            learning_rate=POSITIVE,
+            warmup_steps=FROM_ONE,
+            ema_decay=Range(0, below=1),
+            gradient_clip=POSITIVE,
+            scenes_per_step=FROM_ONE,
+            poses_per_scene=FROM_ONE,
+            score_weight=WEIGHT,
+            keep_weight=WEIGHT,
+            head_weight=WEIGHT,
+            head_poses=FROM_ONE,
+            node_sets=FROM_ONE,
+            point_jitter=LENGTH,
+            validation_poses=FROM_ONE,
+            seed=COUNT,
+        )
 
 
 @dataclasses.dataclass(frozen=True)

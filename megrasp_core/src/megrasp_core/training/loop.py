@@ -28,7 +28,7 @@ from .batching import SceneSource
 from .checkpoint import CheckpointState, load_checkpoint, read_state, save_checkpoint
 from .config import Counters, TrainConfig, rate_factor
 from .losses import scene_losses
-from .processes import Team, free_port, tuned_process
+from .processes import PeerLostError, Team, free_port, tuned_process
 from .rack import GripperRack
 from .scenes import TrainingEntry, divided, read_entries, scene_keys, without_objects
 from .validation import validate, validation_pairs
@@ -196,17 +196,11 @@ def _go_on(run: TrainingRun, stopped: Callable[[], bool], on_progress: Progress 
     """Train; save what there is when another process is lost."""
     try:
         run.go_on(stopped, on_progress if run.team.leads else None)
-    except RuntimeError as error:
-        if run.team.size == 1:
-            raise
+    except PeerLostError as error:
         # The step at work changed nothing: weights and counters are those of the one before.
         if run.team.leads:
             run.save()
-        raise TrainingError(
-            f"a process that shares the training ended ({str(error).splitlines()[0]}); what was "
-            "trained until then is saved. See its message on standard error, then go on with "
-            "--resume."
-        ) from error
+        raise TrainingError(f"{error} What was trained until then is saved.") from error
 
 
 def _follow(

@@ -56,6 +56,10 @@ PATIENCE = datetime.timedelta(hours=1)
 """How long it waits for them later: one of them may write a checkpoint."""
 
 
+class PeerLostError(TrainingError):
+    """Another process of the run has ended."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Team:
     """The processes of a run, seen from one of them.
@@ -142,6 +146,9 @@ class Team:
 
         A parameter without a gradient in any process keeps none, so that the optimiser leaves it
         alone as it would in one process.
+
+        Raises:
+            PeerLostError: another process has ended.
         """
         if self.size == 1:
             return numbers
@@ -155,8 +162,9 @@ class Team:
                 ),
             ]
         )
-        dist.all_reduce(flat)
-        dist.all_reduce(numbers)
+        with _together():
+            dist.all_reduce(flat)
+            dist.all_reduce(numbers)
         start = len(parameters)
         for parameter, somewhere in zip(parameters, flat[:start].tolist(), strict=True):
             part = flat[start : start + parameter.numel()]
@@ -166,14 +174,31 @@ class Team:
         return numbers
 
     def told(self, value: list[str]) -> list[str]:
-        """The leader's list, in every process."""
+        """The leader's list, in every process.
+
+        Raises:
+            PeerLostError: another process has ended.
+        """
         if self.size == 1:
             return value
         content: list[object] = [value]
-        dist.broadcast_object_list(content, src=0)
+        with _together():
+            dist.broadcast_object_list(content, src=0)
         told = content[0]
         assert isinstance(told, list)
         return told
+
+
+@contextmanager
+def _together() -> Iterator[None]:
+    """Within, nothing can fail but what needs the other processes."""
+    try:
+        yield
+    except RuntimeError as error:  # the errors of torch.distributed, and gloo's own
+        raise PeerLostError(
+            f"a process that shares the training ended ({str(error).splitlines()[0]}). See its "
+            "message on standard error, then go on with --resume."
+        ) from error
 
 
 def free_port() -> int:

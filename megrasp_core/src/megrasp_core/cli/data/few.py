@@ -47,7 +47,6 @@ def few(
     if num_grasps < 1:
         raise InvalidRequestError(f"--num-grasps {num_grasps} was given; expected at least 1.")
     loaded, dataset = load_gripper(gripper), SceneDataset(data)
-    tcp_from_gripper = np.linalg.inv(loaded.gripper_from_tcp)
     rng = np.random.default_rng(seed)
     entries = []
     for index in rng.permutation(len(dataset)):
@@ -61,7 +60,7 @@ def few(
         tcp = matrix_from_pose7(labels.world_from_tcp[rng.choice(held)].astype(np.float64))
         cloud = Cloud(scene.points.astype(np.float64), viewpoint=scene.sensor.astype(np.float64))
         write_cloud(out / f"{scene.name}.npz", cloud)
-        pose = pose7_from_matrix(tcp @ tcp_from_gripper)
+        pose = pose7_from_matrix(tcp @ loaded.tcp_from_gripper)
         entries.append({"cloud": f"{scene.name}.npz", "world_from_gripper": pose.tolist()})
     if len(entries) < num_grasps:
         raise DataError(

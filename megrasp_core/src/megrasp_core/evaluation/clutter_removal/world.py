@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from megrasp_core.lie import matrix_from_pose7
 from megrasp_core.objects import ObjectModel
 from megrasp_core.pointcloud import OrientedBox
-from megrasp_core.simulation import Camera
+from megrasp_core.simulation import START_DEPTH, Camera
 
 EDGE = 0.30
 """Edge of the cube on the table in which the objects lie (m)."""
@@ -22,7 +22,7 @@ WORKSPACE = OrientedBox(matrix_from_pose7([0, 0, EDGE / 2, 0, 0, 0, 1]), np.full
 FENCE = 0.20
 """Inner edge of the walls between which a pile is dropped (m)."""
 
-MAX_DEPTH = 0.001
+MAX_DEPTH = START_DEPTH
 """The open hand may touch up to this depth (m) on its way to the pre-grasp."""
 LIFT = 0.10
 """Way of the hand with the object, upwards (m)."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from megrasp_core.errors import CloudError, GravityError, InvalidRequestError, NoBinError
+from megrasp_core.errors import CloudError, InvalidRequestError, NoBinError
 from megrasp_core.pointcloud.cloud import Cloud
+from megrasp_core.pointcloud.gravity import unit_gravity
 
 from .choice import best_rim, is_bin
 from .description import described
@@ -58,7 +59,7 @@ def find_bin(
         InvalidRequestError: the size is not three numbers of 0 or more.
     """
     settings = settings or BinSettings()
-    level_from_cloud = _level(gravity)
+    level_from_cloud = _level(unit_gravity(gravity))
     edges_given = _size(size)
     finite = cloud.finite()
     if not len(finite):
@@ -100,16 +101,9 @@ def find_bin(
     return _in_cloud(found, pose)
 
 
-def _level(gravity: ArrayLike) -> FloatArray:
-    """(3, 3) rotation level_from_cloud, z up, x near the cloud's x."""
-    vector = np.asarray(gravity, dtype=np.float64)
-    length = float(np.linalg.norm(vector)) if vector.shape == (3,) else float("nan")
-    if not np.isfinite(length) or length < 1e-6:
-        raise GravityError(
-            f"gravity {vector.tolist()} is not a direction; expected three numbers that point "
-            "down in the frame of the cloud, e.g. 0 0 -1 where z is up."
-        )
-    up = -vector / length
+def _level(gravity: FloatArray) -> FloatArray:
+    """(3, 3) rotation level_from_cloud of unit gravity, z up, x near the cloud's x."""
+    up = -gravity
     x = np.eye(3)[int(abs(up[0]) > 0.9)]
     x = x - up * (x @ up)
     x /= np.linalg.norm(x)
