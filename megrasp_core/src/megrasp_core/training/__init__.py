@@ -4,7 +4,8 @@ from .batching import LabelledPoses, SceneBatch, SceneSource, balance, scene_bat
 from .config import GRIPPERS, Counters, TrainConfig, rate_factor
 from .finetune import FEW, FinetuneConfig, FinetuneResult, finetune
 from .given_grasps import GivenGrasp, GivenScene, doubt, given_scene
-from .loop import TrainingJob, TrainingRun, resume_training, train
+from .job import TrainingJob
+from .loop import TrainingRun
 from .losses import scene_losses
 from .processes import Team
 from .rack import GripperRack
@@ -17,6 +18,7 @@ from .scenes import (
     scene_keys,
     without_objects,
 )
+from .start import resume_training, train
 from .validation import ValidationResult, validate, validation_pairs
 
 __all__ = [
