@@ -36,13 +36,28 @@ def run_demo(
     picture: str | Path | None = None,
     on_pick: Callable[[PickRecord], None] | None = None,
 ) -> dict[str, object]:
-    """Empties a bin of procedural objects; returns `ClearingPlan.summary`, seed and seconds.
+    """Empty a simulated bin of procedural objects; nothing is printed.
 
-    grippers: used in this order, each for an equal share of the objects. picture: PNG for one
-    contact sheet of all picks; the picture of every pick goes into a folder beside it, named
-    after it. on_pick: called after each attempt. Nothing is printed.
+    Args:
+        grippers: names, used in this order, each for an equal share of the objects.
+        objects: how many lie in the bin.
+        seed: of the scene, the camera's noise and the samples.
+        model: id or folder; None: the default for the kind of each gripper.
+        device: of the model.
+        threads: see `GraspSynthesizer`.
+        num_grasps: returned by a synthesis.
+        drawn: poses drawn by a synthesis.
+        mode: of the synthesis.
+        tries: failures in a row after which an object is given up.
+        picture: PNG for one contact sheet of all picks; the picture of every pick goes into a
+            folder beside it, named after it.
+        on_pick: called after each attempt.
 
-    Raises ModelError, UnknownGripperError, InvalidRequestError, SimulationError.
+    Returns:
+        `ClearingPlan.summary`, the seed and the seconds.
+
+    Raises:
+        ModelError, UnknownGripperError, InvalidRequestError, SimulationError.
     """
     synthesizer = GraspSynthesizer.load(model, gripper=grippers[0], device=device, threads=threads)
     cell = RobotCell.procedural(objects, grippers, seed=seed)
@@ -73,7 +88,21 @@ def clear_bin(
     picture: Path | None = None,
     on_pick: Callable[[PickRecord], None] | None = None,
 ) -> dict[str, object]:
-    """Empties `cell` with `synthesizer`; see `run_demo`. The n-th synthesis uses seed + n."""
+    """Empty a cell's bin; nothing is printed.
+
+    Args:
+        cell: with its objects at rest.
+        synthesizer: its gripper is changed with the cell's.
+        grippers: in the cell's rack, used in this order.
+        seed: the n-th synthesis uses seed + n.
+        num_grasps, drawn, mode, tries, picture, on_pick: as of `run_demo`.
+
+    Returns:
+        `ClearingPlan.summary`, the seed and the seconds.
+
+    Raises:
+        UnknownGripperError, InvalidRequestError, SimulationError.
+    """
     started = time.monotonic()
     plan = ClearingPlan(grippers, cell.objects_left, tries=tries)
     with _picture_folder(picture) as folder:
