@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import megrasp_core
-from megrasp_core.network.storage import DEFAULT_MODEL
+from megrasp_core.network import default_model
 
 ROOT = Path(__file__).parents[2]
 SOURCES = ("megrasp_core", "models", "gripper_descriptions")
@@ -60,15 +60,18 @@ def test_it_holds_code_models_and_grippers(wheel: Path) -> None:
         f"megrasp_core/{path.relative_to(ROOT / 'megrasp_core/src/megrasp_core')}"
         for path in (ROOT / "megrasp_core/src/megrasp_core").rglob("*.py")
     }
-    model = {f"{SHARE}/megrasp_models/{DEFAULT_MODEL}/{name}" for name in
-             ("config.json", "model.safetensors", "MODEL_CARD.md")}  # fmt: skip
+    models = {
+        f"{SHARE}/megrasp_models/{default_model(kind)}/{name}"
+        for kind in ("parallel", "hand")
+        for name in ("config.json", "model.safetensors", "MODEL_CARD.md")
+    }
     grippers = {
         f"{SHARE}/gripper_descriptions/{path.relative_to(ROOT / 'gripper_descriptions')}"
         for path in (ROOT / "gripper_descriptions").rglob("*")
         if path.is_file() and path.name not in ("CMakeLists.txt", "package.xml")
     }
     assert len(code) > 200 and len(grippers) > 30
-    expected = code | model | grippers | {"megrasp_core/py.typed", f"{SHARE}/LICENSE"}
+    expected = code | models | grippers | {"megrasp_core/py.typed", f"{SHARE}/LICENSE"}
     assert not expected - held
     rest = {name for name in held - expected if ".dist-info/" not in name}
     assert all(name.startswith(f"{SHARE}/megrasp_models/") for name in rest), rest

@@ -28,6 +28,7 @@ class Range:
         optional: None is taken as well.
         several: a tuple or list of such numbers.
         unit: for the message.
+        advice: what to do instead, for the message.
     """
 
     low: float = -sys.float_info.max
@@ -38,6 +39,7 @@ class Range:
     optional: bool = False
     several: bool = False
     unit: str = ""
+    advice: str = ""
 
     def takes(self, value: object) -> bool:
         """Whether a value lies in it."""
@@ -93,6 +95,7 @@ def check_ranges(
     for name, wanted in allowed.items():
         value = getattr(settings, name)
         if not wanted.takes(value):
-            wrong.append(f"{name} {value!r} was given; expected {wanted}")
+            told = f"{name} {value!r} was given; expected {wanted}."
+            wrong.append(f"{told} {wanted.advice}".rstrip())
     if wrong:
-        raise error(". ".join(wrong) + ".")
+        raise error(" ".join(wrong))

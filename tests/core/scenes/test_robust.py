@@ -194,7 +194,9 @@ def test_copies_library_grasps_and_collisions_are_left_out(record, gripper):
 
 
 def test_settings_are_checked():
-    with pytest.raises(InvalidRequestError, match="failures is -1; expected 0 or more"):
+    with pytest.raises(
+        InvalidRequestError, match="failures -1 was given; expected a whole number from 0"
+    ):
         RobustSettings(failures=-1)
     with pytest.raises(InvalidRequestError, match="at least one of pose, friction, mass, force"):
         RobustSettings(vary=())

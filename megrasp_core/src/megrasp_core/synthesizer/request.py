@@ -100,13 +100,15 @@ class SynthesisRequest:
         """Check every argument and bring the arrays to float64."""
         check_ranges(
             self,
-            num_grasps=Range(1, MAX_GRASPS, whole=True),
-            drawn=Range(1, MAX_DRAWN, whole=True),
+            num_grasps=Range(1, MAX_GRASPS, whole=True, advice="Ask for fewer grasps."),
+            drawn=Range(1, MAX_DRAWN, whole=True, advice="Draw fewer poses."),
             max_tilt=Range(high=math.pi, above=0, optional=True, unit="rad"),
             approach_distance=Range(0, 1, unit="m"),
             exclude_radius=Range(0, unit="m"),
             seed=Range(0, 2**63 - 1, whole=True, optional=True),
-            target=Range(1, 2**31 - 1, whole=True, optional=True),
+            target=Range(
+                1, 2**31 - 1, whole=True, optional=True, advice="Give a label of the mask."
+            ),
             min_score=SHARE,
         )
         _one_of("mode", self.mode, get_args(Mode))
