@@ -95,7 +95,12 @@ def clear_bin(
         synthesizer: its gripper is changed with the cell's.
         grippers: in the cell's rack, used in this order.
         seed: the n-th synthesis uses seed + n.
-        num_grasps, drawn, mode, tries, picture, on_pick: as of `run_demo`.
+        num_grasps: as of `run_demo`, like all that follow.
+        drawn: poses drawn by a synthesis.
+        mode: of the synthesis.
+        tries: failures in a row after which an object is given up.
+        picture: PNG for one contact sheet of all picks.
+        on_pick: called after each attempt.
 
     Returns:
         `ClearingPlan.summary`, the seed and the seconds.
