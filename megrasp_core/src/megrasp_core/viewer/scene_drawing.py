@@ -57,13 +57,13 @@ class SceneDrawing:
         down = self._down
         self._server.scene.set_up_direction((-down[0], -down[1], -down[2]))
         # From a side that does not depend on the frame's axes.
-        aside = np.eye(3)[np.argmin(np.abs(down))]
-        aside = np.cross(down, np.cross(aside, down))
-        direction = -down + 0.9 * aside / np.linalg.norm(aside)
-        direction /= np.linalg.norm(direction)
+        axis = np.eye(3)[int(np.argmin(np.abs(down)))]
+        aside = np.asarray(np.cross(down, np.cross(axis, down)), np.float64)
+        direction = 0.9 * aside / np.linalg.norm(aside) - down
+        direction *= NEARNESS * np.linalg.norm(box.size) / np.linalg.norm(direction)
         camera = self._server.initial_camera
         camera.up = -down
-        camera.position = box.centre + NEARNESS * np.linalg.norm(box.size) * direction
+        camera.position = box.centre + direction
         camera.look_at = box.centre
 
     def cloud(self, cloud: Cloud) -> None:
