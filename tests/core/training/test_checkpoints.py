@@ -15,7 +15,7 @@ from safetensors.torch import load_file, save_file
 
 from megrasp_core.errors import DataError, TrainingError
 from megrasp_core.network import PRESETS, GraspModel
-from megrasp_core.training import Counters, TrainConfig, loop
+from megrasp_core.training import Counters, TrainConfig, start
 from megrasp_core.training.checkpoint import (
     TENSORS,
     CheckpointState,
@@ -96,7 +96,7 @@ class Run:
 def test_a_fault_of_this_process_is_not_laid_on_another_one() -> None:
     run = Run(RuntimeError("out of memory"))
     with pytest.raises(RuntimeError, match=r"^out of memory$"):
-        loop._go_on(run, lambda: False, None)  # type: ignore[arg-type]
+        start._go_on(run, lambda: False, None)  # type: ignore[arg-type]
     assert run.saves == 0
 
 
@@ -107,5 +107,5 @@ def test_a_lost_process_is_told_and_the_run_saved(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(dist, "all_reduce", lost)
     run = Run(SimpleNamespace())
     with pytest.raises(TrainingError, match=r"ended \(Connection closed by peer\).*saved"):
-        loop._go_on(run, lambda: False, None)  # type: ignore[arg-type]
+        start._go_on(run, lambda: False, None)  # type: ignore[arg-type]
     assert run.saves == 1
