@@ -14,13 +14,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.spatial import ConvexHull, QhullError
 
 from megrasp_core.errors import GravityError, InvalidRequestError
 
 from .depth_image import DepthImage
-from .plane import Plane, PlaneSettings, support_plane
+from .floor_grid import footprint, grid_on, patch
+from .plane import Plane
 from .scene import SurfaceCloud
+from .seen_support import TOLERANCE, shows_support
 from .views import View
 
 FloatArray = NDArray[np.float64]
@@ -28,24 +29,6 @@ BoolArray = NDArray[np.bool_]
 
 STEP = (0.001, 0.004)
 """Least and largest distance (m) between the points that are put in."""
-COARSE = 0.005
-"""Distance (m) of the places that a support is looked for at."""
-HOLES = 0.15
-"""A support shows no readings in at most this share of what is in view of it."""
-MARGIN = 0.008
-"""What is nearer to a support (m) may be part of it."""
-HIGHEST = 0.15
-"""An object's top may be so high (m) over what it stands on, and be taken for a support."""
-STRAY = 0.02
-"""Share of the points that may lie below a support: sides of what is on it lie above."""
-SMALLEST = 0.01
-"""Area (m2) of the smallest support."""
-MOST = 1_000_000
-"""Points that are put in on a floor or a wall; on larger ones they lie further apart."""
-BEYOND = 0.10
-"""A floor without a region reaches so far beyond what was seen (m)."""
-TOLERANCE = 0.010
-"""A floor that is known to this (m) was seen where the depth agrees."""
 MOSTLY = 0.5
 """The floor was not seen when this share of the floor in view shows nothing."""
 ENOUGH = 0.15
@@ -58,8 +41,6 @@ NOTCH = 0.008
 objects, not for looks past them."""
 RIM = 0.004
 """So wide (m) a rim of objects gives no readings: cameras lose the pixels at edges."""
-MOST_TILTED = 0.6
-"""A chute that is seen whole may be as steep as this (rad)."""
 LOWEST = 0.5
 """Percentile of the heights that an unknown floor is taken from."""
 DEEPEST = (0.5, 1.5)
@@ -112,13 +93,13 @@ def unseen_structure(
     source = "as given"
     if floor is None and in_bin:
         floor, source = _bottom(surface), "taken from the region"
-    if floor is None and surface.gravity is not None and not _shows_support(surface):
+    if floor is None and surface.gravity is not None and not shows_support(surface):
         floor, source = _lowest(surface), "taken from the lowest points"
     if floor is None:
         return nothing
     views = [_ViewOfNothing(surface, view) for view in surface.views]
     step = float(np.clip(min(view.image.pixel_size for view in views), *STEP))
-    on_floor = _grid(floor, _footprint(surface, floor), step)
+    on_floor = grid_on(floor, footprint(surface, floor), step)
     inside = floor if in_bin else None
     empty = np.logical_or.reduce([view.empty(on_floor, inside) for view in views])
     seen = np.logical_or.reduce([view.seen(on_floor, inside) for view in views])
@@ -183,55 +164,6 @@ def _check_floor(surface: SurfaceCloud, floor: Plane) -> None:
         )
 
 
-def _shows_support(surface: SurfaceCloud) -> bool:
-    """Whether a plane carries the rest: the level one that was found, or one that is tilted."""
-    gravity = surface.gravity
-    assert gravity is not None
-    if surface.on_plane.any():
-        height = float(np.median(surface.points[surface.on_plane] @ -gravity))
-        return _carries(surface, surface.on_plane, Plane(-gravity, height))
-    tilted = support_plane(surface.points, None, normals=surface.normals, sensor=surface.sensor)
-    if tilted is None or tilted.normal @ -gravity < np.cos(MOST_TILTED):
-        return False
-    on_plane = np.abs(tilted.height(surface.points)) < PlaneSettings().band
-    return bool(on_plane.mean() > MOSTLY) and _carries(surface, on_plane, tilted)
-
-
-def _carries(surface: SurfaceCloud, on_plane: BoolArray, plane: Plane) -> bool:
-    """Whether the rest lies on the plane, and it is seen between what lies there.
-
-    The level top of a flat object carries nothing: its sides are below it, others stand beside
-    it. The tops of several carry none either: past them nothing is seen at that height.
-    """
-    height = plane.height(surface.points)
-    if ((height < -MARGIN) & (height > -HIGHEST)).mean() > STRAY:
-        return False
-    axes = _axes(plane.normal)
-    flat = surface.points @ axes.T
-    rest = flat[~on_plane]
-    try:
-        hull = ConvexHull(flat[on_plane])
-    except QhullError:
-        return False
-    if hull.volume < SMALLEST:  # in two dimensions the area
-        return False
-    sides = hull.equations
-
-    def beside(points: FloatArray) -> BoolArray:
-        return (points @ sides[:, :2].T + sides[:, 2]).max(axis=1, initial=-np.inf) > 0.0
-
-    if len(rest) and beside(rest).mean() >= MOSTLY:
-        return False
-    between = _grid(plane, _footprint(surface, plane), COARSE)
-    between = between[~beside(between @ axes.T)]
-    looks = [view.image.lookup(between) for view in surface.views]
-    seen = np.logical_or.reduce(
-        [np.isfinite(front) & (front >= depth - TOLERANCE) for depth, front, _ in looks]
-    )
-    empty = np.logical_or.reduce([~np.isfinite(front) for _, front, _ in looks]) & ~seen
-    return bool(empty.sum() <= HOLES * (empty.sum() + seen.sum()))
-
-
 def _bottom(surface: SurfaceCloud) -> Plane:
     region = surface.region
     assert region is not None
@@ -247,48 +179,6 @@ def _lowest(surface: SurfaceCloud) -> Plane:
     return Plane(up, float(np.percentile(surface.points @ up, LOWEST)))
 
 
-def _axes(normal: FloatArray) -> FloatArray:
-    """(2, 3) orthonormal, in the plane of a normal."""
-    first = np.cross(np.eye(3)[int(np.argmin(np.abs(normal)))], normal)
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(normal, first)])
-
-
-def _footprint(surface: SurfaceCloud, floor: Plane) -> FloatArray:
-    """(4, 3): a corner of the rectangle of floor, the two edges from it, and the normal."""
-    region = surface.region
-    if region is not None:
-        axis, _ = region.face_towards(floor.normal)
-        first, second = (
-            region.rotation[:, (axis + k) % 3] * region.size[(axis + k) % 3] for k in (1, 2)
-        )
-        corner = region.centre - (first + second) / 2
-    else:
-        axes = _axes(floor.normal)
-        flat = surface.points @ axes.T
-        low, high = np.percentile(flat, (0.5, 99.5), axis=0)
-        low, high = low - BEYOND, high + BEYOND
-        first, second = axes * (high - low)[:, None]
-        corner = low @ axes
-    return np.stack([corner, first, second, floor.normal])
-
-
-def _grid(floor: Plane, footprint: FloatArray, step: float) -> FloatArray:
-    """Points (P, 3) on the floor, over the footprint along the floor's normal."""
-    corner, first, second, normal = footprint
-    points = _patch(corner, first, second, step)
-    return points - floor.height(points)[:, None] * normal
-
-
-def _patch(corner: FloatArray, first: FloatArray, second: FloatArray, step: float) -> FloatArray:
-    lengths = [float(np.linalg.norm(edge)) for edge in (first, second)]
-    # A region may be as large as a hall.
-    step = max(step, float(np.sqrt(lengths[0] * lengths[1] / MOST)), max(lengths) / MOST)
-    counts = [max(2, int(np.ceil(length / step))) for length in lengths]
-    u, v = np.meshgrid(*((np.arange(n) + 0.5) / n for n in counts), indexing="ij")
-    return corner + u.reshape(-1, 1) * first + v.reshape(-1, 1) * second
-
-
 def _sides(surface: SurfaceCloud, floor: Plane, step: float) -> FloatArray:
     """Points (P, 3) on the four inner sides of the region, from its bottom to its top."""
     region = surface.region
@@ -300,7 +190,7 @@ def _sides(surface: SurfaceCloud, floor: Plane, step: float) -> FloatArray:
     for along, across in (edges, edges[::-1]):
         for side in (-1.0, 1.0):
             corner = region.centre - up / 2 - along / 2 + side * across / 2
-            sides.append(_patch(corner, along, up, step))
+            sides.append(patch(corner, along, up, step))
     return np.concatenate(sides)
 
 
