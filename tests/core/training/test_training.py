@@ -17,6 +17,7 @@ import pytest
 import torch
 from training_scenes import GRIPPER, record, written
 
+from megrasp_core.cli import main
 from megrasp_core.drawing.training_curves import append_losses, read_losses
 from megrasp_core.errors import DataError, InvalidRequestError, TrainingError
 from megrasp_core.network import PRESETS, GraspModel, load_model
@@ -136,6 +137,25 @@ def test_everything_but_the_place_comes_from_the_checkpoint(data, tmp_path):
     assert list(info.trained_grippers) == [GRIPPER, "franka_hand"]
     assert info.training["learning_rate"] == 2e-3
     assert info.counters["poses"] == info.training["total_poses"] == 32 * 3
+
+
+def test_a_run_starts_from_the_weights_of_a_model(data, tmp_path):
+    """All of it goes on learning: network, name and sampler are the model's, the rate is given."""
+    part_of(TrainingJob((data,), tmp_path / "first"), CONFIG, 32)
+    first = load_model(tmp_path / "first" / "model")
+    code = main(
+        ["train", "--start-from", str(tmp_path / "first" / "model"), "--data", str(data),
+         "--out", str(tmp_path / "second"), "--gripper", GRIPPER, "--total-poses", "64",
+         "--set", "learning_rate=1e-6", "poses_per_scene=32", "scenes_per_step=1"]
+    )  # fmt: skip
+    assert code == 0
+    second = load_model(tmp_path / "second" / "model")
+    assert second.config == first.config
+    assert second.info.model_id == "tiny-run"
+    assert second.info.counters["poses"] == 64
+    fresh = GraspModel(first.config).state_dict()
+    kept, before = second.state_dict(), first.state_dict()
+    assert 0 < distance(kept, before) < 1e-3 * distance(fresh, before)
 
 
 def test_a_checkpoint_is_seven_bytes_a_parameter(data, tmp_path):

@@ -41,6 +41,7 @@ def train(
     settings: Annotated[Settings, tyro.conf.arg(name="set")] = (),
     model_id: str | None = None,
     gripper: tuple[str, ...] = (),
+    start_from: str | None = None,
     heads_of: str | None = None,
     seed: int = 1,
 ) -> int:
@@ -56,6 +57,8 @@ def train(
       megrasp train --data scenes.mgpack --out runs/small --device cuda
       torchrun --nproc-per-node 4 -m megrasp_core train --data data/scenes --out runs/small \
         --set scenes_per_step=4
+      megrasp train --start-from megrasp-base --model-id mine --data data/mine --out runs/mine \
+        --gripper robotiq_2f85 --total-poses 500_000 --set learning_rate=3e-4
       megrasp train --heads-of megrasp-small --attempts attempts --data samples --out runs/heads
 
     Args:
@@ -78,9 +81,11 @@ def train(
         preset: size of the network.
         network: changes to the preset, by the names of `ModelConfig`.
         settings: further settings, by the names of `TrainConfig`.
-        model_id: by default megrasp- and the preset.
+        model_id: by default megrasp- and the preset, or that of the model it starts from.
         gripper: names of the grippers to learn; by default all that are meant for training.
             Procedural grippers in the data are always learnt.
+        start_from: id or folder of a model whose weights, network and sampler the run begins
+            with; with a tenth to a third of the usual learning rate it keeps what it knows.
         heads_of: id or folder of a model of which only the confidence is trained.
         seed: of weights, scenes and noise.
     """
@@ -125,16 +130,19 @@ def train(
     # More threads than one wait for each other on a busy machine; processes do not.
     torch.set_num_threads(1)
     given = {"--network": network, "--set": settings, "--gripper": gripper,
-             "--heads-of": heads_of, "--model-id": model_id}  # fmt: skip
+             "--start-from": start_from, "--heads-of": heads_of,
+             "--model-id": model_id}  # fmt: skip
     if resume and any(given.values()):
         raise InvalidRequestError(
             f"{', '.join(name for name in given if given[name])} was given with --resume; "
             "expected nothing that changes the run, which goes on as it was begun. Leave it out, "
             "or begin a new run."
         )
-    if heads_of is not None and network:
+    starts = [name for name in ("--start-from", "--heads-of") if given[name]]
+    if len(starts) + bool(network) > 1:
         raise InvalidRequestError(
-            "--network was given with --heads-of, whose network it is; expected one of them."
+            f"{' and '.join(starts + ['--network'] * bool(network))} were given; expected one of "
+            "them, since a model that a run starts from brings its network."
         )
     with progress_bar(1000, "train") as bar:
         if resume:
@@ -145,10 +153,11 @@ def train(
                     f"{out} holds a run already; expected --resume to go on with it, or another "
                     "--out."
                 )
-            start = None if heads_of is None else load_model(heads_of)
+            start = load_model(given[starts[0]]) if starts else None
             config = _config(
-                preset, start, network, settings, model_id, gripper, total_poses, seed
-            )
+                preset, start, heads_of is not None, network, settings, model_id, gripper,
+                total_poses, seed,
+            )  # fmt: skip
             begin_training(job, config, start_from=start, on_progress=_Display(bar))
     if leads:
         say(f"wrote checkpoint and model to {out}; --resume goes on from there")
@@ -204,7 +213,8 @@ class _Display:
 
 def _config(
     preset: str,
-    heads_of: GraspModel | None,
+    start: GraspModel | None,
+    heads_only: bool,
     network: tuple[str, ...],
     settings: tuple[str, ...],
     model_id: str | None,
@@ -220,23 +230,24 @@ def _config(
         model_id=model_id or f"megrasp-{preset}",
         seed=seed,
     )
-    if heads_of is not None:
-        # The samples of a model say nothing of where all grasps are.
+    if start is not None:
         config = replace(
             config,
-            network=heads_of.config,
-            model_id=model_id or heads_of.model_id,
-            sampler=heads_of.info.sampler,
-            train_only="heads",
-            graspability_weight=0.0,
-            confidence_weight=1.0,
+            network=start.config,
+            model_id=model_id or start.model_id,
+            sampler=start.info.sampler,
+        )
+    if heads_only:
+        # The samples of a model say nothing of where all grasps are.
+        config = replace(
+            config, train_only="heads", graspability_weight=0.0, confidence_weight=1.0
         )
     if gripper:
         config = replace(config, grippers=tuple(gripper))
     if total_poses is not None:
         config = replace(config, total_poses=total_poses)
     config = changed(config, settings, "--set")
-    if config.heads_only and heads_of is None:
+    if config.heads_only and not heads_only:
         raise InvalidRequestError(
             "train_only=heads was given without --heads-of; expected the model whose heads are "
             "trained."

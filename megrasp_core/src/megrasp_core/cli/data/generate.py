@@ -80,6 +80,7 @@ def scenes(
     trials: int = 12,
     moved: int = 2,
     bins: float = 0.75,
+    obstacles: float = 0.3,
     hands_in_bins: float = 1.0,
     hands_on_tables: float = 1.0,
     procedural: int = 60,
@@ -106,6 +107,7 @@ def scenes(
         trials: free grasps tried in the heap, a gripper and scene.
         moved: successes moved a little and tried again, a gripper and scene.
         bins: share of the scenes that lie in a bin; the rest lie on a table.
+        obstacles: share of the scenes with one to three things that must not be lifted.
         hands_in_bins: how often a hand is drawn for a bin for every time that a jaw is.
         hands_on_tables: the same for tables.
         procedural: number of procedural objects to draw from.
@@ -125,8 +127,9 @@ def scenes(
     for name, value in least.items():
         if value < 0:
             raise InvalidRequestError(f"--{name} {value} was given; expected 0 or more.")
-    if not 0.0 <= bins <= 1.0:
-        raise InvalidRequestError(f"--bins {bins} was given; expected a share from 0 to 1.")
+    for name, value in {"bins": bins, "obstacles": obstacles}.items():
+        if not 0.0 <= value <= 1.0:
+            raise InvalidRequestError(f"--{name} {value} was given; expected a share from 0 to 1.")
     if min(hands_in_bins, hands_on_tables) < 0.0:
         raise InvalidRequestError(
             f"--hands-in-bins {hands_in_bins} and --hands-on-tables {hands_on_tables} were "
@@ -141,6 +144,7 @@ def scenes(
         judged_library=trials // 3,
         perturbed=moved,
         bin_share=bins,
+        obstacle_share=obstacles,
         hands_in_bins=hands_in_bins,
         hands_on_tables=hands_on_tables,
     )
