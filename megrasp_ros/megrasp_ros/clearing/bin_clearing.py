@@ -15,12 +15,15 @@ import contextlib
 import json
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from builtin_interfaces.msg import Time as TimeMessage
 from megrasp_msgs.msg import ErrorCode
 from megrasp_msgs.srv import SynthesizeGrasps
+from numpy.typing import NDArray
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
@@ -165,6 +168,15 @@ class BinClearing:
             self._plan.stop("grasp_server sees an empty bin")
 
     def _synthesize(self, attempt: int) -> SynthesizeGrasps.Response:
+        return self._plan.failures.ask(
+            lambda failed: self._ask(attempt, failed),
+            # A bin that is empty is no matter of what was excluded.
+            lambda answer: bool(answer.grasps) or answer.error_code == ErrorCode.BIN_EMPTY,
+        )
+
+    def _ask(
+        self, attempt: int, failed: Sequence[NDArray[np.float64]]
+    ) -> SynthesizeGrasps.Response:
         end = time.monotonic() + TRANSIENT_WAIT
         while True:
             try:
@@ -172,7 +184,7 @@ class BinClearing:
                     num_grasps=self._parameters.num_grasps,
                     region=self._parameters.region,
                     not_before=self._not_before,
-                    exclude=[pose_from_matrix(pose) for pose in self._plan.excluded],
+                    exclude=[pose_from_matrix(pose) for pose in failed],
                     exclude_radius=self._plan.exclude_radius,
                     seed=self._parameters.seed + attempt,
                 )

@@ -24,7 +24,7 @@ def planners(monkeypatch: pytest.MonkeyPatch) -> list[Planner]:
 
     def evaluated(settings: ProtocolSettings, gripper, planner, pool, usable, **_):
         asked.append(planner)
-        scenes = (SceneOutcome(first=[(True, "success")]),)
+        scenes = (SceneOutcome(first=[(True, "success")], targets=["box"]),)
         return EvaluationResult(settings, "g", "g", planner.name, 1, 1, "procedural", scenes)
 
     def cleared(settings, gripper, planner, pool, **_):

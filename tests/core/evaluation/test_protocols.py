@@ -174,6 +174,10 @@ def test_the_report_tells_counted_attempts_from_all(gripper, pool, monkeypatch):
     content = evaluate(POSSIBLE, gripper, Scripted(AIR), pool, range(8)).to_json()
     assert content["first"]["trials"] == 0 and content["first_all"]["trials"] == 3
     assert content["unreachable"] == 1 and content["cleared_of_all"] == 0.0
+    (attempts,) = content["attempts"]
+    assert attempts["counted"] == 0 and len(attempts["of"]) == 3
+    names = {model.name for model in pool}
+    assert all(one.partition(": ")[2] in names for one in attempts["of"]), attempts
 
 
 def test_one_model_plans_and_another_executes(gripper, pool):

@@ -9,8 +9,9 @@ Rules, with `tries` = 3 by default:
 * The objects are shared out evenly over the grippers, the first ones taking what is left over. A
   gripper hands over as soon as its share has left the bin.
 * Tries are counted as failures in a row. A failed grasp, and a synthesis that offers no grasp to
-  execute, count one. Grasps within `exclude_radius` of TCP poses that failed since the last
-  success are excluded from the next synthesis.
+  execute, count one. Grasps within `exclude_radius` of TCP poses that failed are excluded from the
+  next synthesis; those that failed before the last success are allowed again when something
+  beside them was lifted, or when no other grasp is found (`FailureMemory`).
 * After `tries` failures in a row the object that they were aimed at is given up for this gripper:
   grasps whose TCP lies within `give_up_radius` of the failed ones are passed over from then on.
 * When as many objects are given up as are left in the bin, or `tries` syntheses in a row offered
@@ -28,6 +29,8 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 
 from megrasp_core.errors import InvalidRequestError
+
+from .failure_memory import FailureMemory
 
 FAILURES = {
     "no_grasp": "no grasp was found",
@@ -161,8 +164,7 @@ class ClearingPlan:
         self.records: list[PickRecord] = []
         self.ended = "" if objects else "the bin is empty"
         self._turn = 0
-        self._failed: list[np.ndarray] = []
-        self._in_a_row = 0
+        self.failures = FailureMemory()
         self._without_grasp = 0
         self._given_up: list[np.ndarray] = []
         self._objects_given_up = 0
@@ -171,11 +173,6 @@ class ClearingPlan:
     def gripper(self) -> str | None:
         """The gripper that is due, or None when the run is over."""
         return None if self.ended else self.grippers[self._turn]
-
-    @property
-    def excluded(self) -> list[np.ndarray]:
-        """world_from_tcp (4, 4) of the grasps that failed since the last success."""
-        return list(self._failed)
 
     def choose(self, world_from_tcp: Sequence[np.ndarray] | np.ndarray) -> int | None:
         """Index of the first pose (n, 4, 4), best first, not aimed at a given-up object."""
@@ -191,21 +188,13 @@ class ClearingPlan:
         """Takes in one attempt. `world_from_tcp` (4, 4): what was executed, None for no grasp."""
         self.records.append(record)
         self.objects_left = record.objects_left
-        if record.success:
-            self._failed.clear()
-            self._in_a_row = self._without_grasp = 0
-        else:
-            self._in_a_row += 1
-            if world_from_tcp is None:
-                self._without_grasp += 1
-            else:
-                self._without_grasp = 0
-                self._failed.append(np.array(world_from_tcp, dtype=float))
-        if self._in_a_row >= self.tries:
+        self.failures.count(record.success, world_from_tcp)
+        nothing = world_from_tcp is None and not record.success
+        self._without_grasp = self._without_grasp + 1 if nothing else 0
+        if self.failures.in_a_row >= self.tries:
             self._objects_given_up += 1
-            self._given_up.extend(pose[:3, 3] for pose in self._failed)
-            self._failed.clear()
-            self._in_a_row = 0
+            self._given_up.extend(pose[:3, 3] for pose in self.failures.recent)
+            self.failures.give_up()
         self._advance()
 
     def stop(self, reason: str) -> None:
@@ -258,9 +247,9 @@ class ClearingPlan:
             )
             return
         self._turn += 1
-        self._failed.clear()
+        self.failures.clear()
         self._given_up.clear()
-        self._in_a_row = self._without_grasp = self._objects_given_up = 0
+        self._without_grasp = self._objects_given_up = 0
 
     def _share(self, turns: int) -> int:
         """Objects that must be out before the gripper number `turns` is due."""

@@ -119,17 +119,20 @@ def clear_bin(
             attempt = len(plan.records) + 1
             begun = time.monotonic()
             cloud = cell.capture()
-            synthesis = synthesizer.synthesize(
-                cloud,
-                num_grasps=num_grasps,
-                drawn=drawn,
-                mode=mode,
-                gravity=(0.0, 0.0, -1.0),
-                sensor=cloud.viewpoint,
-                region=cell.region,
-                exclude=plan.excluded,
-                exclude_radius=plan.exclude_radius,
-                seed=seed + attempt,
+            synthesis = plan.failures.ask(
+                lambda failed, cloud=cloud, attempt=attempt: synthesizer.synthesize(
+                    cloud,
+                    num_grasps=num_grasps,
+                    drawn=drawn,
+                    mode=mode,
+                    gravity=(0.0, 0.0, -1.0),
+                    sensor=cloud.viewpoint,
+                    region=cell.region,
+                    exclude=failed,
+                    exclude_radius=plan.exclude_radius,
+                    seed=seed + attempt,
+                ),
+                lambda answer: bool(answer.grasps),
             )
             seconds = time.monotonic() - begun
             chosen = plan.choose([grasp.world_from_tcp for grasp in synthesis.grasps])

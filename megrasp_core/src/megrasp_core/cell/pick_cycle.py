@@ -22,6 +22,7 @@ from megrasp_core.simulation import (
 )
 from megrasp_core.synthesizer import RankedGrasp
 
+from .failure_memory import FailureMemory
 from .rest import come_to_rest
 
 
@@ -31,18 +32,14 @@ class PickCycle:
     Attributes:
         world: the scene; the cycle moves gripper and objects in it.
         obstacles: objects that must not be lifted.
-        failed: world_from_tcp (4, 4) of the grasps that failed since the last success, to be
-            excluded from the next plan.
-        failures: attempts without success since then; more than `failed` holds where nothing was
-            found to execute.
+        failures: where grasps failed, to be excluded from the next plan.
         joints: of the gripper when it had closed in the last attempt; empty where it has not.
     """
 
     def __init__(self, world: World, obstacles: Collection[int] = ()) -> None:
         self.world = world
         self.obstacles = frozenset(obstacles)
-        self.failed: list[NDArray[np.float64]] = []
-        self.failures = 0
+        self.failures = FailureMemory()
         self.joints: dict[str, float] = {}
 
     @property
@@ -72,7 +69,7 @@ class PickCycle:
         """Carry out a grasp; see `carry_out`. What fails is remembered."""
         way = self._way(grasp, approach)
         verdict = self.carry_out(grasp.world_from_gripper, way, grasp.share)
-        self.count(verdict.success, grasp.world_from_tcp)
+        self.failures.count(verdict.success, grasp.world_from_tcp)
         return verdict
 
     def carry_out(
@@ -131,15 +128,6 @@ class PickCycle:
             self.world.park_object(index)
         self.world.park_gripper()
         come_to_rest(self.world)
-
-    def count(self, success: bool, world_from_tcp: NDArray[np.float64] | None) -> None:
-        """Take in one attempt; `world_from_tcp` (4, 4): what was executed, None for nothing."""
-        if success:
-            self.failed, self.failures = [], 0
-            return
-        self.failures += 1
-        if world_from_tcp is not None:
-            self.failed = [*self.failed, world_from_tcp]
 
     def _try(
         self,

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from megrasp_core.cell.pick_cycle import PickCycle
 from megrasp_core.errors import InvalidRequestError, SimulationError
@@ -61,8 +63,8 @@ class ProtocolSettings:
         friction: of everything.
         max_attempts: in one bin.
         max_failures: in a row, after which a bin is given up.
-        exclude_radius: grasps whose TCP lies so near (m) to one that failed since the last success
-            are passed over.
+        exclude_radius: grasps whose TCP lies so near (m) to one that failed are passed over, see
+            `FailureMemory`.
         judged: so many of the returned grasps are judged one by one at every stage, best first,
             before the first is executed; for calibration and the AUC of the score.
         possible_only: after a failed attempt in a bin every returned grasp and a search with true
@@ -125,6 +127,8 @@ class SceneOutcome:
 
     Attributes:
         first: every executed attempt in order: success and the verdict's reason.
+        targets: of every attempt, the name of the object that its TCP was nearest to; "" where
+            nothing was executed.
         counted: so many of them, from the first, count: the next one was made where nothing could
             be lifted. None: all.
         unreachable: objects left at the end of the counted attempts that nothing can lift; None:
@@ -137,6 +141,7 @@ class SceneOutcome:
     """
 
     first: list[tuple[bool, str]] = field(default_factory=list)
+    targets: list[str] = field(default_factory=list)
     sampled: list[tuple[bool, bool, str]] = field(default_factory=list)
     """(success, passed our own check, reason) of every judged sample."""
     stages: int = 0
@@ -188,7 +193,8 @@ def run_scene(
     binpick = settings.protocol == "binpick"
     while cycle.left:
         if binpick and (
-            cycle.failures >= settings.max_failures or len(outcome.first) >= settings.max_attempts
+            cycle.failures.in_a_row >= settings.max_failures
+            or len(outcome.first) >= settings.max_attempts
         ):
             break
         # A bin is seen from above, a table heap from all around or from one side.
@@ -212,19 +218,16 @@ def run_scene(
             _judge_samples(settings, cycle, planner, cloud, options, outcome)
         goals = {place: models[place] for place in cycle.left}
         planner.look_inside(world, goals)
-        result = planner.plan(
-            cloud,
-            num_grasps=settings.returned,
-            drawn=settings.drawn,
-            exclude=cycle.failed,
-            exclude_radius=settings.exclude_radius,
-            **options,
+        result = cycle.failures.ask(
+            functools.partial(_plan, settings, planner, cloud, options),
+            lambda answer: bool(answer.grasps),
         )
         outcome.seconds.append(result.timing["total"])
         outcome.evaluations = result.evaluations
         outcome.answered += bool(result.grasps)
         if on_stage is not None:
             on_stage(result, cloud, outcome)
+        outcome.targets.append(_target(world, models, result))
         for grasp in result.grasps[: settings.judged]:
             verdict = cycle.verdict(grasp, approach=binpick)
             outcome.ranked.append((grasp, bool(verdict.success), verdict.reason.value))
@@ -248,11 +251,42 @@ NO_ANSWER = "no_answer"
 """Reason of an attempt without a grasp: the robot stood still for nothing."""
 
 
+def _plan(
+    settings: ProtocolSettings,
+    planner: Planner,
+    cloud: Cloud,
+    options: dict[str, Any],
+    failed: list[NDArray[np.float64]],
+) -> Synthesis:
+    return planner.plan(
+        cloud,
+        num_grasps=settings.returned,
+        drawn=settings.drawn,
+        exclude=failed,
+        exclude_radius=settings.exclude_radius,
+        **options,
+    )
+
+
+def _target(world: World, models: Sequence[ObjectModel], result: Synthesis) -> str:
+    """Name of the object that the best grasp is aimed at; "" without grasps."""
+    if not result.grasps:
+        return ""
+    tcp = result.grasps[0].world_from_tcp[:3, 3]
+    poses = world.object_poses()
+
+    def distance(place: int) -> float:
+        local = poses[place, :3, :3].T @ (tcp - poses[place, :3, 3])
+        return float(np.linalg.norm(models[place].vertices - local, axis=1).min())
+
+    return models[min(world.present, key=distance)].name
+
+
 def _pick(cycle: PickCycle, result: Synthesis, outcome: SceneOutcome) -> None:
     """Execute the best grasp and leave the scene as the attempt leaves it."""
     if not result.grasps:
         outcome.first.append((False, NO_ANSWER))
-        cycle.count(False, None)
+        cycle.failures.count(False, None)
         cycle.clear(())
         return
     goals = set(cycle.left)

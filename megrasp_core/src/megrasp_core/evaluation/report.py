@@ -79,6 +79,11 @@ class EvaluationResult:
         if settings.protocol == "binpick":
             content["first_all"] = wilson(sum(attempts), len(attempts)).to_json()
             content |= _cleared(scenes, settings.possible_only)
+        content["attempts"] = [
+            {"counted": len(s.first[: s.counted]), "objects": s.objects}
+            | {"of": [f"{reason}: {t}" for (_, reason), t in zip(s.first, s.targets, strict=True)]}
+            for s in scenes
+        ]
         ranked = [x for s in scenes for x in s.ranked]
         if ranked:
             scores = np.array([grasp.score for grasp, _, _ in ranked])

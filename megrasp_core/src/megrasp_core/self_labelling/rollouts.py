@@ -108,21 +108,27 @@ def roll_out(
     region = region_of(layout.bin, config)
     cycle = PickCycle(world, obstacles)
     records: list[SceneRecord] = []
-    while len(records) < settings.max_stages and cycle.failures < settings.max_failures:
+    while len(records) < settings.max_stages and cycle.failures.in_a_row < settings.max_failures:
         if not cycle.left:
             break
         present = sorted(world.present)
         cloud = cycle.look(cameras, DepthNoise(), rng)
-        grasps = synthesizer.synthesize(
-            cloud,
-            num_grasps=settings.drawn,
-            drawn=settings.drawn,
-            region=region,
-            exclude=cycle.failed,
-            exclude_radius=0.05,
-            seed=int(rng.integers(2**31)),
-            keep_all=True,
-        ).grasps
+        draw = int(rng.integers(2**31))
+        grasps = cycle.failures.ask(
+            lambda failed, cloud=cloud, draw=draw: (
+                synthesizer.synthesize(
+                    cloud,
+                    num_grasps=settings.drawn,
+                    drawn=settings.drawn,
+                    region=region,
+                    exclude=failed,
+                    exclude_radius=0.05,
+                    seed=draw,
+                    keep_all=True,
+                ).grasps
+            ),
+            lambda grasps: any(grasp.collision_free for grasp in grasps),
+        )
         passing = [grasp for grasp in grasps if grasp.collision_free]
         # What was never refined comes out of no synthesis.
         others = [g for g in grasps if not g.collision_free and g.reason != "unrefined"]
