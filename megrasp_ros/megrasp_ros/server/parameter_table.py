@@ -268,6 +268,9 @@ TABLE: dict[str, Spec] = {
     "num_grasps": Spec(20, "grasps of a synthesis by auto_synthesize", 1, MAX_GRASPS),
     "max_num_grasps": Spec(1000, "most grasps a request may ask for", 1, MAX_GRASPS),
     "drawn": Spec(100, "poses drawn per synthesis; at least num_grasps are drawn", 1, MAX_DRAWN),
+    "more_rounds": Spec(
+        3, "while no grasp is good, as many poses are drawn once more, at most so often", 0, 100
+    ),
     "max_tilt": Spec(
         math.pi, "largest angle between the gripper's +Z and gravity (rad); pi: any", 0.01, math.pi
     ),

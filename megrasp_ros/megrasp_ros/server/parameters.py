@@ -61,6 +61,7 @@ class Settings:
     num_grasps: int
     max_num_grasps: int
     drawn: int
+    more_rounds: int
     max_tilt: float
     approach_distance: float
     approach_direction: str

@@ -154,6 +154,7 @@ def options_of(request: ParsedRequest, settings: Settings, gravity: FloatArray) 
     return {
         "num_grasps": request.num_grasps,
         "drawn": max(settings.drawn, request.num_grasps),
+        "more_rounds": settings.more_rounds,
         "gravity": gravity,
         "region": request.region,
         "walls": settings.region_walls,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import dataclasses
 import json
 from collections import Counter
 
@@ -93,6 +95,44 @@ def test_poses_that_were_not_refined_have_not_passed(model):
     assert len(unrefined) == result.rejected["unrefined"] > 0
     free = [grasp.collision_free for grasp in result.grasps]
     assert free == sorted(free, reverse=True)
+
+
+def test_more_is_drawn_while_no_grasp_is_good(model):
+    """The first poses are the same, more follow, and the counts are of all."""
+    unsure = copy.copy(model)
+    unsure.info = dataclasses.replace(model.info, heads=("confidence",))
+    steps: list[tuple[str, int, int]] = []
+    traces = []
+    results = [
+        run(
+            GraspSynthesizer(
+                unsure,
+                "robotiq_2f85",
+                settings=SynthesizerSettings(sure=sure, refined=8),
+            ),
+            keep_all=True,
+            num_grasps=36,
+            drawn=12,
+            more_rounds=rounds,
+            on_step=lambda *step: steps.append(step),
+            on_trace=traces.append,
+        )
+        for sure, rounds in ((1.0, 0), (1.0, 2), (0.0, 2))
+    ]
+    once, more, sure = results
+    assert (once.drawn, more.drawn, sure.drawn) == (36, 108, 36)
+    for result, trace in zip(results, traces, strict=True):
+        passing = sum(grasp.reason == "" for grasp in result.grasps)
+        assert passing + sum(result.rejected.values()) == result.drawn
+        assert len(trace.starts) == len(trace.drawn) == len(trace.assessment) == result.drawn
+    np.testing.assert_array_equal(traces[1].drawn[:36], traces[0].drawn)
+    assert len(np.unique(traces[1].drawn[:, :3, 3].round(6), axis=0)) == 108
+    assert [grasp.score for grasp in once.grasps] == [grasp.score for grasp in sure.grasps]
+    evaluations = once.evaluations
+    assert max(index for phase, index, _ in steps if phase == "sample") == 3 * evaluations
+    assert all(index <= total for _, index, total in steps)
+    fast = run(GraspSynthesizer(unsure, "robotiq_2f85"), mode="fast")
+    assert fast.drawn == 5, "fast is fast whatever comes out"
 
 
 def test_poses_of_a_grasp_fit_each_other(synthesizer):

@@ -48,6 +48,8 @@ class SynthesisOptions:
         gripper: registered name (megrasp gripper list) or folder of a gripper.yaml.
         num_grasps: most grasps to return.
         drawn: poses drawn; the best go through the restarts.
+        more_rounds: while no grasp is good, as many are drawn once more, at most so often; 0 is
+            quickest.
         frame: world: z up; optical: the camera's frame, gravity must be given.
         gravity: vector that points down in the frame of the cloud.
         top_down: with --frame optical: the camera looks straight down, gravity is +z.
@@ -86,6 +88,7 @@ class SynthesisOptions:
     target: int | None = None
     num_grasps: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 20
     drawn: int = 100
+    more_rounds: int = 3
     frame: Literal["world", "optical"] = "world"
     gravity: Vector = None
     top_down: Flag = False
@@ -132,6 +135,7 @@ class SynthesisOptions:
         return SynthesisRequest(
             num_grasps=self.num_grasps,
             drawn=self.drawn,
+            more_rounds=self.more_rounds,
             mode="fast" if self.fast else "default",
             gravity=down,
             region=box,

@@ -7,21 +7,18 @@ the best samples are moved at random, with steps that shrink, and the better pos
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
-from typing import Any, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from megrasp_core.ranking import RankSettings, suppress_duplicates
 
+from .rows import with_rows
 from .scene_judge import Assessment
 from .settings import PolishSettings
 
-__all__ = ["polish", "promises", "with_rows"]
-
-T = TypeVar("T")
+__all__ = ["polish", "promises"]
 
 REPAIRABLE = 3.0
 """What a collision costs in logits of the score, next to the logarithm of the points that hit."""
@@ -97,17 +94,3 @@ def _moves(
     turns = rng.normal(scale=scale * settings.angle, size=(count * settings.moves, 3))
     moves[..., :3, :3] = Rotation.from_rotvec(turns).as_matrix().reshape(*shape, 3, 3)
     return moves
-
-
-def with_rows(target: T, index: np.ndarray, source: T, rows: np.ndarray) -> T:
-    """A copy of a dataclass of arrays in which the rows `index` are the `rows` of another."""
-    values: dict[str, Any] = {}
-    for item in dataclasses.fields(target):  # type: ignore[arg-type]
-        value, other = getattr(target, item.name), getattr(source, item.name)
-        if isinstance(value, np.ndarray):
-            value = value.copy()
-            value[index] = other[rows]
-        elif dataclasses.is_dataclass(value):
-            value = with_rows(value, index, other, rows)
-        values[item.name] = value
-    return type(target)(**values)

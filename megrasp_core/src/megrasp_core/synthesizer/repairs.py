@@ -8,7 +8,8 @@ import numpy as np
 
 from megrasp_core.ranking import SweepSettings
 
-from .polish import promises, with_rows
+from .polish import promises
+from .rows import with_rows
 from .scene_judge import Assessment
 
 __all__ = ["backed_off", "turned_over"]

@@ -35,6 +35,8 @@ class SynthesisRequest:
         drawn: poses to draw, 1 to `MAX_DRAWN`; at least num_grasps are.
         mode: `default`: all drawn go through the descent, the best `refined` through the
             restarts; `fast`: num_grasps are drawn and all go through everything.
+        more_rounds: in mode `default`, while no grasp that passes has the score
+            `SynthesizerSettings.sure`, as many poses are drawn once more, at most so often.
         gravity: (3,) vector that points down in the cloud's frame; None where unknown.
         sensor: (3,) where the sensor was, or (N, 3) for every point; None: the cloud's viewpoint.
         region: only points in it count.
@@ -64,6 +66,7 @@ class SynthesisRequest:
     num_grasps: int = 20
     drawn: int = 100
     mode: Mode = "default"
+    more_rounds: int = 3
     gravity: Vector | None = (0.0, 0.0, -1.0)
     sensor: Vector | None = None
     region: OrientedBox | None = None
@@ -102,6 +105,7 @@ class SynthesisRequest:
             self,
             num_grasps=Range(1, MAX_GRASPS, whole=True, advice="Ask for fewer grasps."),
             drawn=Range(1, MAX_DRAWN, whole=True, advice="Draw fewer poses."),
+            more_rounds=Range(0, 100, whole=True),
             max_tilt=Range(high=math.pi, above=0, optional=True, unit="rad"),
             approach_distance=Range(0, 1, unit="m"),
             exclude_radius=Range(0, unit="m"),

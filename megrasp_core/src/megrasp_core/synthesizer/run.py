@@ -28,9 +28,10 @@ from megrasp_core.pointcloud import Cloud, SceneSettings
 from megrasp_core.ranking import rejection_counts
 
 from .assessor import Assessor, MountedGripper
+from .draw import Draw
 from .hints import hints
 from .perception import Perceived, perceive
-from .polish import polish, with_rows
+from .polish import polish
 from .poses import PoseSet, pose_set, world_from_tcp
 from .repairs import backed_off, turned_over
 from .request import SynthesisRequest
@@ -94,6 +95,7 @@ class SynthesisRun:
         self.centroid = np.zeros(3)
         self.timing: dict[str, float] = {}
         self.notes: tuple[str, ...] = ()
+        self.drawn = 0
         self.generator = torch.Generator(device=self.model.device)
         self.generator.manual_seed(int(request.seed or 0))
         self.keep = request.drawn
@@ -115,8 +117,34 @@ class SynthesisRun:
         self.centroid = seen.nodes.centroid
         assessor = Assessor(self.model, self.mounted, seen, field, self.at_once, self.threads)
         allowed = self._at_target(seen, field)
+        draws: list[Draw] = []
+        while self._goes_on(draws, assessor):
+            draws.append(self._draw(field, assessor, allowed))
+        with self._phase("rank"):
+            drawn = Draw.of(draws)
+            grasps, rejected = rank_poses(
+                drawn.final, self.mounted.probe, request, ranking, drawn.left_out
+            )
+            parts = [(drawn.final, np.arange(len(drawn.final)))]
+            parts += [drawn.left_out] if drawn.left_out else []
+            told = hints(parts, seen.judge.observation, self.mounted.probe, request, self.offset)
+            self._trace(seen, drawn)
+        return self._answer(grasps, rejected, start, told=told)
+
+    def _goes_on(self, draws: list[Draw], assessor: Assessor) -> bool:
+        """Whether (more) poses are drawn: at first, and while no grasp is good."""
+        if not draws or self.request.mode != "default" or not assessor.confident:
+            return not draws
+        best = max((draw.best_score for draw in draws), default=0.0)
+        return best < self.settings.sure and len(draws) <= self.request.more_rounds
+
+    def _draw(
+        self, field: SceneField, assessor: Assessor, allowed: tuple[Tensor, Tensor] | None
+    ) -> Draw:
+        """Draw poses and bring them through everything."""
+        request = self.request
         left_out: tuple[Assessment, np.ndarray] | None = None
-        with self._phase("sample"):
+        with self._timed("sample"):
             starts = draw_starts(
                 self.model, field, self.mounted.code, request.drawn, self.generator, allowed
             )
@@ -130,17 +158,19 @@ class SynthesisRun:
                 best = self._best(first)
                 left_out = first, np.setdiff1d(np.arange(request.drawn), best)
                 poses = poses.part(torch.as_tensor(best, device=poses.device))
-            poses = refined = self._refine(field, poses)
-        with self._phase("rank"):
-            final = assessor.samples(poses)
+            refined = self._refine(field, poses)
+        self.drawn += request.drawn
+        with self._timed("rank"):
+            final = assessor.samples(refined)
             if self.settings.back_off:
-                final = backed_off(final, assessor.poses, ranking.sweep)
+                final = backed_off(final, assessor.poses, self.settings.ranking.sweep)
             final = self._polished(assessor, final)
-            grasps, rejected = rank_poses(final, self.mounted.probe, request, ranking, left_out)
-            parts = [(final, np.arange(len(final))), *([left_out] if left_out else [])]
-            told = hints(parts, seen.judge.observation, self.mounted.probe, request, self.offset)
-            self._trace(seen, starts, (descended, refined), final, left_out)
-        return self._answer(grasps, rejected, start, told=told)
+        sampled, gone_on = world_from_tcp(descended, self.centroid), np.arange(request.drawn)
+        if left_out is not None:
+            gone_on = np.setdiff1d(gone_on, left_out[1])
+        sampled[gone_on] = world_from_tcp(refined, self.centroid)
+        places = starts.cpu().double().numpy() + self.centroid
+        return Draw(places, sampled, final, left_out)
 
     def _answer(
         self,
@@ -165,7 +195,7 @@ class SynthesisRun:
             rejected=rejected,
             timing={name: self.timing.get(name, 0.0) for name in (*PHASES, "total")},
             seed=int(self.request.seed or 0),
-            drawn=0 if empty else self.request.drawn,
+            drawn=self.drawn,
             evaluations=self.sampler.evaluations,
             gripper=self.mounted.gripper.name,
             model=self.model.model_id,
@@ -206,34 +236,23 @@ class SynthesisRun:
     def _denoiser(self, field: SceneField) -> Denoise:
         return denoiser(self.model, field, self.mounted.code, self.sampler, self.at_once)
 
-    def _trace(
-        self,
-        seen: Perceived,
-        starts: Tensor | None = None,
-        sampled: tuple[PoseBatch, PoseBatch] | None = None,
-        final: Assessment | None = None,
-        left_out: tuple[Assessment, np.ndarray] | None = None,
-    ) -> None:
+    def _trace(self, seen: Perceived, drawn: Draw | None = None) -> None:
         """Tell who asked for it where the poses began, where they were sampled (after the descent
         and, those that went on, after the restarts), and what became of each.
         """
         if self.on_trace is None:
             return
-        places, drawn = np.zeros((0, 3)), np.zeros((0, 4, 4))
-        if starts is not None and sampled is not None and final is not None:
-            places = starts.cpu().double().numpy() + self.centroid
-            drawn = world_from_tcp(sampled[0], self.centroid)
-            kept = np.arange(self.request.drawn)
-            if left_out is not None:
-                kept = np.setdiff1d(kept, left_out[1])
-                final = with_rows(left_out[0], kept, final, np.arange(len(kept)))
-            drawn[kept] = world_from_tcp(sampled[1], self.centroid)
         self.on_trace(
             Trace(
-                self.request, seen.judge.observation, self.mounted.probe, places, drawn, final,
+                self.request,
+                seen.judge.observation,
+                self.mounted.probe,
+                np.zeros((0, 3)) if drawn is None else drawn.starts,
+                np.zeros((0, 4, 4)) if drawn is None else drawn.sampled,
+                None if drawn is None else drawn.assessment,
                 np.zeros(3),
             )
-        )  # fmt: skip
+        )
 
     def _polished(self, assessor: Assessor, final: Assessment) -> Assessment:
         if self.request.mode != "default" or not assessor.confident:
@@ -256,7 +275,9 @@ class SynthesisRun:
 
     def _report(self, step: SamplerStep) -> None:
         if self.on_step is not None:
-            self.on_step("sample", step.index, self.sampler.evaluations)
+            evaluations = self.sampler.evaluations
+            done = self.drawn // self.request.drawn * evaluations
+            self.on_step("sample", done + step.index, done + evaluations)
         if self.on_poses is not None:
             first = step.poses.part(range(min(len(step.poses), self.request.num_grasps)))
             tcp = world_from_tcp(first, self.centroid)
@@ -264,14 +285,18 @@ class SynthesisRun:
 
     @contextmanager
     def _phase(self, name: str) -> Iterator[None]:
+        """A phase that is told of when it is over."""
+        with self._timed(name):
+            yield
+        if self.on_step is not None:
+            self.on_step(name, 1, 1)
+        self._stop_if_cancelled(f"after phase {name!r}")
+
+    @contextmanager
+    def _timed(self, name: str) -> Iterator[None]:
         start = time.perf_counter()
         yield
-        self.timing[name] = time.perf_counter() - start
-        # The sampler has told of its steps and asked after each of them.
-        if name != "sample":
-            if self.on_step is not None:
-                self.on_step(name, 1, 1)
-            self._stop_if_cancelled(f"after phase {name!r}")
+        self.timing[name] = self.timing.get(name, 0.0) + time.perf_counter() - start
 
     def _stop_if_cancelled(self, where: str) -> None:
         if self.cancelled is not None and self.cancelled():

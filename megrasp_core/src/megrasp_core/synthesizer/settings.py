@@ -8,7 +8,7 @@ from typing import Literal
 
 from megrasp_core.diffusion import SamplerSettings
 from megrasp_core.pointcloud import SceneSettings
-from megrasp_core.ranges import COUNT, FROM_ONE, LENGTH, check_ranges
+from megrasp_core.ranges import COUNT, FROM_ONE, LENGTH, SHARE, check_ranges
 from megrasp_core.ranking import (
     CheckSettings,
     ContactSettings,
@@ -97,6 +97,7 @@ class SynthesizerSettings:
         polish: local search about the best samples in mode `default`.
         turns: grasps from below or in collision from the side are tried from the other side.
         back_off: grasps whose fingers hit something while they close are tried further back.
+        sure: from this score on a grasp is good enough for no more poses to be drawn.
         refined: poses that go through the restarts in mode `default` on a CPU; on a GPU all do.
         ranking: check, contacts, score.
         probe: how densely the gripper is sampled for the check.
@@ -108,6 +109,7 @@ class SynthesizerSettings:
     polish: PolishSettings = field(default_factory=PolishSettings)
     turns: bool = True
     back_off: bool = True
+    sure: float = 0.9
     refined: int = 40
     ranking: RankingSettings = field(default_factory=RankingSettings)
     probe: ProbeSettings = field(default_factory=ProbeSettings)
@@ -117,6 +119,7 @@ class SynthesizerSettings:
     def __post_init__(self) -> None:
         check_ranges(
             self,
+            sure=SHARE,
             refined=COUNT,
             gripper_seed=COUNT,
         )
