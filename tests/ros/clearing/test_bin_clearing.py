@@ -105,7 +105,8 @@ def test_failed_grasps_are_excluded_and_the_gripper_is_handed_on(cell):
     assert "excluded 0 seed 2" in asked[0]
     assert "excluded 1 seed 3" in asked[1]
     assert "excluded 2 seed 4" in asked[2]
-    assert "excluded 0 seed 5" in asked[3]
+    # What failed beside the object that was lifted is allowed again.
+    assert asked[3].endswith(("excluded 0 seed 5", "excluded 1 seed 5"))
     # Every attempt is on disk, with the cloud it was made from.
     kept = list(AttemptFolder(record).read_all(notes := []))
     assert not notes, notes

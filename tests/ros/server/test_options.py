@@ -60,7 +60,8 @@ def test_options_decide_what_is_drawn_returned_and_first(client: Client) -> None
     assert default.success, default.error_msg
     grasps = default.grasps.grasps
     scores = [grasp.score for grasp in grasps]
-    assert drawn(default) == 100
+    # As many once more while no grasp is good.
+    assert drawn(default) in (100, 200, 300, 400)
     assert scores == sorted(scores, reverse=True)
     # The boxes stand apart, so that which one is grasped is no matter of millimetres.
     for grasp in grasps:
@@ -68,7 +69,7 @@ def test_options_decide_what_is_drawn_returned_and_first(client: Client) -> None
 
     # As many are drawn as are asked for.
     assert drawn(ask(mode="fast")) == 10
-    assert drawn(ask(mode="default")) == 100
+    assert drawn(ask(mode="default")) == drawn(default)
 
     limit = float(np.float32(scores[len(scores) // 2]))
     better = ask(min_score=limit)
