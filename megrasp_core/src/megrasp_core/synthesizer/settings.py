@@ -109,7 +109,7 @@ class SynthesizerSettings:
     polish: PolishSettings = field(default_factory=PolishSettings)
     turns: bool = True
     back_off: bool = True
-    sure: float = 0.9
+    sure: float = 0.6
     refined: int = 40
     ranking: RankingSettings = field(default_factory=RankingSettings)
     probe: ProbeSettings = field(default_factory=ProbeSettings)
