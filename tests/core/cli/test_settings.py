@@ -79,3 +79,10 @@ def test_options_that_contradict_each_other_are_refused(tmp_path, capsys):
     ):
         assert main([*begin, *more]) == 2
         assert message in capsys.readouterr().err
+
+
+def test_a_share_of_scenes_is_a_share(tmp_path, capsys):
+    for name in ("--bins", "--obstacles"):
+        command = ["data", "scenes", "--out", str(tmp_path), "--library", str(tmp_path)]
+        assert main([*command, name, "1.5"]) == 2
+        assert f"{name} 1.5 was given; expected a share" in capsys.readouterr().err

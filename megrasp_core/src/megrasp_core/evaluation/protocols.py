@@ -219,10 +219,9 @@ def run_scene(
         goals = {place: models[place] for place in cycle.left}
         planner.look_inside(world, goals)
         result = cycle.failures.ask(
-            functools.partial(_plan, settings, planner, cloud, options),
+            functools.partial(_plan, settings, planner, cloud, options, outcome),
             lambda answer: bool(answer.grasps),
         )
-        outcome.seconds.append(result.timing["total"])
         outcome.evaluations = result.evaluations
         outcome.answered += bool(result.grasps)
         if on_stage is not None:
@@ -256,9 +255,10 @@ def _plan(
     planner: Planner,
     cloud: Cloud,
     options: dict[str, Any],
+    outcome: SceneOutcome,
     failed: list[NDArray[np.float64]],
 ) -> Synthesis:
-    return planner.plan(
+    result = planner.plan(
         cloud,
         num_grasps=settings.returned,
         drawn=settings.drawn,
@@ -266,6 +266,8 @@ def _plan(
         exclude_radius=settings.exclude_radius,
         **options,
     )
+    outcome.seconds.append(result.timing["total"])
+    return result
 
 
 def _target(world: World, models: Sequence[ObjectModel], result: Synthesis) -> str:
