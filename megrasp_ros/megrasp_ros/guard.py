@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import threading
 import time
 import traceback
 from collections.abc import Callable
@@ -34,10 +35,16 @@ _MARK = "megrasp_guarded"
 
 
 class Guard:
-    """Wraps callbacks; a wrapped one returns or raises nothing but what it should."""
+    """Wraps callbacks; a wrapped one returns or raises nothing but what it should.
+
+    Attributes:
+        waiting: requests whose answer waits for something else, such as a job.
+    """
 
     def __init__(self, log: RcutilsLogger, context: Context) -> None:
         self._log, self._context = log, context
+        self.waiting = 0
+        self._lock = threading.Lock()
         self._told: dict[str, tuple[str, float]] = {}
 
     def tell(self, what: str, error: BaseException) -> str:
@@ -77,10 +84,13 @@ class Guard:
 
             @functools.wraps(callback)
             async def answer_later(request: Any, response: Any) -> Any:
+                self._count(1)
                 try:
                     return await callback(request, response)
                 except Exception as error:
                     return self._refusal(what, error, request, response)
+                finally:
+                    self._count(-1)
 
             return _marked(answer_later)
 
@@ -92,6 +102,10 @@ class Guard:
                 return self._refusal(what, error, request, response)
 
         return _marked(answer)
+
+    def _count(self, more: int) -> None:
+        with self._lock:
+            self.waiting += more
 
     def _refusal(self, what: str, error: Exception, request: Any, response: Any) -> Any:
         """Return an answer that says no in the words of its kind."""

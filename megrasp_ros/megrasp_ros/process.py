@@ -102,6 +102,8 @@ def run_program(run: Callable[[], int], *, signals: StopSignals | None = None) -
 
     def shut_down() -> None:
         signals.event.wait()
+        # What rclpy is making at that moment stays half-made, and its finalizer fails.
+        sys.unraisablehook = lambda _: None
         rclpy.try_shutdown()
 
     threading.Thread(target=shut_down, name="signals", daemon=True).start()

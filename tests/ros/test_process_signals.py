@@ -32,6 +32,18 @@ print("ending", flush=True)
 time.sleep(1.0)
 sys.exit(0)
 """
+MAKING = """
+from rclpy.executors import SingleThreadedExecutor
+from megrasp_ros.process import StopSignals, run_program
+import rclpy
+signals = StopSignals()
+def run():
+    print("ready", flush=True)
+    while rclpy.ok():
+        pass
+    SingleThreadedExecutor()
+run_program(run, signals=signals)
+"""
 
 
 def start(script: str) -> subprocess.Popen[str]:
@@ -66,6 +78,14 @@ def test_further_signals_while_things_are_put_in_order_are_nothing(number: int) 
         time.sleep(0.05)
     _, errors = process.communicate(timeout=60)
     assert (process.returncode, errors) == (0, "")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_what_was_half_made_at_a_signal_says_nothing(number: int) -> None:
+    process = start(MAKING)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=60)
+    assert (process.returncode, errors) == (130, "")
 
 
 def hears_sigterm(pid: int) -> bool:

@@ -9,7 +9,6 @@ Which gripper is on is known to tool_state.py alone.
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -59,7 +58,7 @@ STOP = 30.0
 """Longest wait (s) for a job to stop when the node is deactivated."""
 
 ANSWERS = 3.0
-"""Longest wait (s) for requests to be decided when the node ends, and"""
+"""Longest wait (s) for requests to be answered when the node ends, and"""
 
 SENDING = 0.5
 """time (s) for their answers to go out."""
@@ -100,8 +99,6 @@ class GraspServer(GuardedLifecycleNode):
         self._is_active = False
         self._error = ""
         self._not_configured: Exception | None = None
-        self._open = 0
-        self._open_lock = threading.Lock()
         self._engine = Engine(factory)
         self._worker = Worker()
         self._frames = FrameSource(self, buffer)
@@ -202,13 +199,14 @@ class GraspServer(GuardedLifecycleNode):
         """
         self._is_active = False
         self._state.suspend()
-        asked = self._open
+        goals, owed = self._requests.goals, self._requests.goals.owed()
+        asked = bool(owed or self.guard.waiting)
         self._worker.close()
         end = time.monotonic() + ANSWERS
-        while self._open and time.monotonic() < end:
+        while (self.guard.waiting or not goals.sent(owed)) and time.monotonic() < end:
             time.sleep(0.01)
         if asked:
-            # What was decided still has to be written and sent.
+            # What was handed to the middleware still has to reach the clients.
             time.sleep(SENDING)
 
     def destroy_node(self) -> None:
@@ -274,13 +272,7 @@ class GraspServer(GuardedLifecycleNode):
 
     async def _ended(self, job: Job) -> None:
         """Wait for the end of a job; the thread of the executor does something else meanwhile."""
-        with self._open_lock:
-            self._open += 1
-        try:
-            await wake_when(job.on_done, self)
-        finally:
-            with self._open_lock:
-                self._open -= 1
+        await wake_when(job.on_done, self)
 
     def _synthesize(
         self, job: Job, request: ParsedRequest, settings: Settings, on_step: OnStep | None

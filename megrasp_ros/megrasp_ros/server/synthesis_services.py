@@ -10,7 +10,7 @@ from typing import Any
 from megrasp_msgs.action import GenerateGrasps
 from megrasp_msgs.msg import ErrorCode, GraspArray
 from megrasp_msgs.srv import SynthesizeGrasps
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action import CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
 from sensor_msgs.msg import PointCloud2
@@ -23,6 +23,7 @@ from megrasp_ros.qos import CALLS
 from megrasp_ros.waiting import wake_when
 
 from . import parameters
+from .goal_server import GoalServer
 from .grasp_messages import Outcome
 from .parameters import Settings
 from .requests import ParsedRequest, automatic_request, checked_request
@@ -46,7 +47,8 @@ _CANCEL_WAIT = 2.0
 class SynthesisServices:
     """Serves synthesize_grasps and generate_grasps; `on_cloud` is auto_synthesize.
 
-    last, latency: text and seconds of the last request, for diagnostics.
+    goals: the action server. last, latency: text and seconds of the last request, for
+    diagnostics.
     """
 
     def __init__(
@@ -71,7 +73,7 @@ class SynthesisServices:
             callback_group=group,
             qos_profile=CALLS,
         )
-        self._action = ActionServer(
+        self.goals = GoalServer(
             node,
             GenerateGrasps,
             "generate_grasps",
@@ -90,7 +92,7 @@ class SynthesisServices:
 
     def close(self) -> None:
         """Destroy the action server, which rclpy's destroy_node does not."""
-        self._action.destroy()
+        self.goals.destroy()
 
     def on_cloud(self) -> None:
         """Start an automatic synthesis, unless one was started too recently or a job runs."""
