@@ -72,7 +72,7 @@ def test_judged_grasps_are_kept_and_fitted_again(tmp_path: Path, capsys) -> None
 
 def test_rows_are_written_before_they_are_fitted(tmp_path: Path, monkeypatch, capsys) -> None:
     part = judged(np.arange(60) % 6, np.ones(60, bool))
-    monkeypatch.setattr("megrasp_core.cli.calibrate._simulated", lambda *_: [part])
+    monkeypatch.setattr("megrasp_core.cli.calibrate._simulated", lambda *_: ([part], []))
     torch.manual_seed(0)
     model = save_model(GraspModel(PRESETS["tiny"], model_id="fresh"), tmp_path / "fresh")
     out = tmp_path / "calibration.json"

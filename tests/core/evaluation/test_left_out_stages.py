@@ -9,8 +9,9 @@ import pytest
 
 from megrasp_core.cli import main
 from megrasp_core.evaluation.clutter_removal.report import ClutterResult
+from megrasp_core.evaluation.outcome import SceneOutcome
 from megrasp_core.evaluation.planners import AntipodalPlanner, Planner
-from megrasp_core.evaluation.protocols import ProtocolSettings, SceneOutcome
+from megrasp_core.evaluation.protocols import ProtocolSettings
 from megrasp_core.evaluation.report import EvaluationResult
 
 EVALUATION = "megrasp_core.evaluation"

@@ -108,8 +108,9 @@ def test_ranked_grasps_are_judged_and_the_state_is_restored(gripper, pool):
     assert run_scene(plain, gripper, AntipodalPlanner(gripper), pool, range(8), 0).first == (
         judged.first
     )
-    assert 0 < len(judged.ranked) <= 3
-    assert judged.ranked[0][1:] == judged.first[0]
+    (stage,) = judged.judged
+    assert 0 < len(stage) <= 3
+    assert (stage[0].success, stage[0].reason) == judged.first[0]
 
 
 class NothingFound(GraspSearch):

@@ -14,6 +14,7 @@ from .runs import executor_of
 
 if TYPE_CHECKING:
     from megrasp_core.evaluation.calibration import JudgedGrasps
+    from megrasp_core.evaluation.kept_scenes import KeptScenes
     from megrasp_core.network import GraspModel
     from megrasp_core.storage import Attempt
 
@@ -48,7 +49,9 @@ def calibrate(
     Bins are cleared as in `eval --protocol binpick`, with objects that neither training nor
     evaluation draws; hands, which find little in bins, clear tables. At every stage the best
     ranked grasps are judged one by one. Kinds of grippers with grasps enough get a fit of their
-    own, which grippers of the training take; others take the one for all. With --attempts a real
+    own, which grippers of the training take; others take the one for all. Scenes that are done are
+    kept until the judged grasps are written, so that the same command goes on where it was
+    stopped. With --attempts a real
     cell has judged the grasps (docs/attempts.md), and nothing is simulated.
 
     Try:
@@ -88,13 +91,15 @@ def calibrate(
         parts = [part for path in rows for part in read_judged(path)]
         extra = {"rows": [path.name for path in rows]}
     elif attempts is None:
-        parts = _simulated(
-            model, gripper or DEFAULT, scenes, judged, drawn, threads, workers, seed
+        parts, kept = _simulated(
+            model, gripper or DEFAULT, scenes, judged, drawn, threads, workers, seed, out
         )
         # Before the fit: it may find that all of these hold, and they took hours.
-        kept = out.with_suffix(".judged.npz")
-        write_judged(parts, kept)
-        say(f"wrote {kept}")
+        rows_file = out.with_suffix(".judged.npz")
+        write_judged(parts, rows_file)
+        say(f"wrote {rows_file}")
+        for scenes_of in kept:
+            scenes_of.remove()
         extra = {"seed": seed, "drawn": drawn}
     else:
         parts, extra = _recorded(attempts, load_model(folder), gripper)
@@ -153,8 +158,10 @@ def _simulated(
     threads: int | None,
     workers: int,
     seed: int,
-) -> list[JudgedGrasps]:
+    out: Path,
+) -> tuple[list[JudgedGrasps], list[KeptScenes]]:
     from megrasp_core.evaluation.calibration import judged_grasps
+    from megrasp_core.evaluation.kept_scenes import KeptScenes
     from megrasp_core.evaluation.object_pool import graspable_objects, validation_pool
     from megrasp_core.evaluation.planners import ModelPlanner
     from megrasp_core.evaluation.protocols import ProtocolSettings
@@ -163,7 +170,7 @@ def _simulated(
 
     spread = None if workers == 1 else executor_of("local", None, workers)
     pool = validation_pool()
-    parts = []
+    parts, kept = [], []
     for name in grippers:
         loaded = load_gripper(name)
         settings = ProtocolSettings(
@@ -176,6 +183,10 @@ def _simulated(
         planner = ModelPlanner(GraspSynthesizer.load(model, loaded, threads=threads))
         usable = graspable_objects(loaded, pool)
         say(f"{name}: {len(usable)} of {len(pool)} objects can be held")
+        place = out.with_suffix(f".{loaded.name}")
+        kept.append(KeptScenes.beside(place, settings, loaded, planner, pool, usable))
+        if kept[-1].outcomes:
+            say(f"{len(kept[-1].outcomes)} scenes are done already ({kept[-1].path})")
         with progress_bar(scenes, name) as bar:
 
             def tell(done: int, won: int, tried: int) -> None:
@@ -186,7 +197,8 @@ def _simulated(
 
             parts.append(
                 judged_grasps(
-                    settings, loaded, planner, pool, usable, executor=spread, on_scene=tell
+                    settings, loaded, planner, pool, usable,
+                    executor=spread, kept=kept[-1], on_scene=tell,
                 )
-            )
-    return parts
+            )  # fmt: skip
+    return parts, kept

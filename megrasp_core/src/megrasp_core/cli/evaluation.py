@@ -12,6 +12,7 @@ from .common import Flag, emit, progress_bar, say
 from .runs import Executor, executor_of
 
 if TYPE_CHECKING:
+    from megrasp_core.evaluation.kept_scenes import KeptScenes
     from megrasp_core.evaluation.planners import Planner
     from megrasp_core.evaluation.protocols import ProtocolSettings
     from megrasp_core.evaluation.report import EvaluationResult
@@ -63,6 +64,9 @@ def evaluation(
     clutter removal of VGN, GIGA and Edge-Grasp, by default in PyBullet (extra `bench`): five
     objects, upright or dropped, one view from the side; GSR is successes / attempts, DR objects
     removed / objects.
+
+    Scenes that are done are kept in OUT.part until the result is written: the same command goes on
+    where it was stopped, also with more --scenes (not packed and pile).
 
     Try:
       megrasp eval --gripper robotiq_2f85 --out binpick.json
@@ -161,10 +165,11 @@ def evaluation(
         judged=judged, possible_only=protocol == "binpick" and not count_all,
         friction=friction, views=views, crop_floor=crop_floor, seed=seed,
     )  # fmt: skip
-    content = _rates(settings, executing, planner, objects, loaded.name, spread)
+    content, kept = _rates(settings, executing, planner, objects, loaded, spread, out)
     if without:
         content["config"]["without"] = list(without)
     emit(content, out)
+    kept.remove()
     return 0 if content["first"]["successes"] else 1
 
 
@@ -208,10 +213,14 @@ def _rates(
     executing: Gripper,
     planner: Planner,
     objects: Path | None,
-    planned_for: str,
+    planned_for: Gripper,
     spread: ExecutorConfig | None,
-) -> dict[str, Any]:
-    """Run a protocol of one's own simulation, tell the rates and return the result file."""
+    out: Path,
+) -> tuple[dict[str, Any], KeptScenes]:
+    """Run a protocol of one's own simulation, tell the rates, and return the content of the result
+    file and the scenes that were kept meanwhile.
+    """
+    from megrasp_core.evaluation.kept_scenes import KeptScenes
     from megrasp_core.evaluation.object_pool import graspable_objects, load_pool
     from megrasp_core.evaluation.report import evaluate
 
@@ -221,6 +230,9 @@ def _rates(
             executing, pool, on_progress=lambda done, _: bar.update(done - bar.n)
         )
     say(f"{len(usable)} of {len(pool)} objects can be held by {executing.name}")
+    kept = KeptScenes.beside(out, settings, executing, planner, pool, usable, planned_for)
+    if kept.outcomes:
+        say(f"{len(kept.outcomes)} scenes are done already ({kept.path})")
     place = "procedural" if objects is None else "/".join(objects.resolve().parts[-2:])
     with progress_bar(settings.scenes, settings.protocol) as bar:
 
@@ -238,8 +250,8 @@ def _rates(
                 say(f"{done} scenes: {told}")
 
         result = evaluate(
-            settings, executing, planner, pool, usable, objects=place, planned_for=planned_for,
-            executor=spread, on_scene=tell,
+            settings, executing, planner, pool, usable, objects=place,
+            planned_for=planned_for.name, executor=spread, kept=kept, on_scene=tell,
         )  # fmt: skip
     content = result.to_json()
     for key in ("first", "first_all", "filtered", "unfiltered", "judged"):
@@ -250,4 +262,4 @@ def _rates(
                 f"{key:>10}: {row['successes']}/{row['trials']} = {100 * row['rate']:.1f} % "
                 f"[{100 * low:.1f}, {100 * high:.1f}]"
             )
-    return content
+    return content, kept

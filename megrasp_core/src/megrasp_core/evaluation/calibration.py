@@ -19,8 +19,10 @@ from megrasp_core.jobs import ExecutorConfig
 from megrasp_core.objects import ObjectModel
 from megrasp_core.ranking import Calibration, fit_calibration, logistic_features
 
+from .kept_scenes import KeptScenes
+from .outcome import SceneOutcome
 from .planners import Planner
-from .protocols import ProtocolSettings, SceneOutcome, run_scene
+from .protocols import ProtocolSettings, run_scene
 from .report import hardware, run_scenes
 from .statistics import roc_auc
 
@@ -72,6 +74,7 @@ def judged_grasps(
     graspable: Sequence[int],
     *,
     executor: ExecutorConfig | None = None,
+    kept: KeptScenes | None = None,
     on_scene: Callable[[int, int, int], None] | None = None,
 ) -> JudgedGrasps:
     """Run a protocol and judge `settings.judged` grasps of every stage.
@@ -83,42 +86,44 @@ def judged_grasps(
         pool: objects to draw from.
         graspable: indices of those that the gripper can hold.
         executor: how the scenes are spread; by default one after another, in this process.
+        kept: scenes of the same run that are done, and where further ones are kept.
         on_scene: called with bins done, successes and trials of the first grasps so far.
 
     Raises:
         SimulationError: a scene could not be run.
         KeyboardInterrupt: the run was stopped.
     """
-    won = tried = 0
 
-    def tell(outcomes: Mapping[int, SceneOutcome], latest: SceneOutcome) -> None:
-        nonlocal won, tried
-        won += sum(success for success, _ in latest.first)
-        tried += len(latest.first)
+    def first_grasps(outcomes: Mapping[int, SceneOutcome]) -> tuple[int, int]:
+        first = [success for outcome in outcomes.values() for success, _ in outcome.first]
+        return sum(first), len(first)
+
+    def tell(outcomes: Mapping[int, SceneOutcome], _: SceneOutcome) -> None:
         if on_scene is not None:
-            on_scene(len(outcomes), won, tried)
+            on_scene(len(outcomes), *first_grasps(outcomes))
 
     run = functools.partial(run_scene, settings, gripper, planner, pool, graspable)
-    outcomes = run_scenes(run, settings.scenes, executor, tell)
+    outcomes = run_scenes(run, settings.scenes, executor, tell, kept)
     rows = [
-        (index, grasp, success)
+        (index, grasp)
         for index, outcome in outcomes.items()
-        for grasp, success, _ in outcome.ranked
+        for stage in outcome.judged
+        for grasp in stage
     ]
-    confidence = np.array([grasp.confidence for _, grasp, _ in rows])
+    confidence = np.array([grasp.confidence for _, grasp in rows])
     return JudgedGrasps(
         gripper.name,
         gripper.description.kind,
-        np.array([scene for scene, _, _ in rows], dtype=np.int64),
+        np.array([scene for scene, _ in rows], dtype=np.int64),
         logistic_features(
             confidence,
-            np.array([grasp.tilt for _, grasp, _ in rows]),
-            np.array([grasp.hidden_share for _, grasp, _ in rows]),
-            np.array([grasp.clearance for _, grasp, _ in rows]),
+            np.array([grasp.tilt for _, grasp in rows]),
+            np.array([grasp.hidden_share for _, grasp in rows]),
+            np.array([grasp.clearance for _, grasp in rows]),
         ),
         confidence,
-        np.array([success for _, _, success in rows], dtype=bool),
-        (won, tried),
+        np.array([grasp.success for _, grasp in rows], dtype=bool),
+        first_grasps(outcomes),
     )
 
 

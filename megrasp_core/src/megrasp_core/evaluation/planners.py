@@ -46,6 +46,10 @@ class Planner(ABC):
         """The same planner without what moves samples after they were drawn."""
         return self
 
+    def facts(self) -> dict[str, Any]:
+        """What decides on the plans, besides the gripper and the code: plain values."""
+        return {"name": self.name}
+
     def look_inside(self, world: World, models: Mapping[int, ObjectModel]) -> None:  # noqa: B027
         """Told before each plan of the true scene and of the objects that may be lifted, by place;
         only a planner that is to know more than the camera makes use of it.
@@ -67,6 +71,11 @@ class ModelPlanner(Planner):
     def plan(self, cloud: Cloud, **options: Any) -> Synthesis:
         """See `GraspSynthesizer.synthesize`."""
         return self.synthesizer.synthesize(cloud, **options)
+
+    def facts(self) -> dict[str, Any]:
+        """Name and weights of the model, the settings with the calibration."""
+        weights, settings = self.synthesizer.model.info.sha256, self.synthesizer.calibrated
+        return {"name": self.name, "weights": weights, "settings": repr(settings)}
 
     def raw(self) -> ModelPlanner:
         """The sampler alone, with the same model and the gripper as it is encoded."""
@@ -141,6 +150,10 @@ class AntipodalPlanner(Planner):
             gripper=self.gripper.name,
             model=self.name,
         )
+
+    def facts(self) -> dict[str, Any]:
+        """Name and settings."""
+        return {"name": self.name, "settings": repr((self.settings, self.options))}
 
     def raw(self) -> AntipodalPlanner:
         """The candidates as they are drawn."""

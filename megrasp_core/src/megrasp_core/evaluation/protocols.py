@@ -25,8 +25,9 @@ from megrasp_core.simulation import (
     ring_cameras,
     settle,
 )
-from megrasp_core.synthesizer import RankedGrasp, Synthesis
+from megrasp_core.synthesizer import Synthesis
 
+from .outcome import JudgedGrasp, SceneOutcome
 from .planners import Planner
 from .search import GraspSearch
 
@@ -121,44 +122,6 @@ class ProtocolSettings:
             )
 
 
-@dataclass
-class SceneOutcome:
-    """Counts of one scene.
-
-    Attributes:
-        first: every executed attempt in order: success and the verdict's reason.
-        targets: of every attempt, the name of the object that its TCP was nearest to; "" where
-            nothing was executed.
-        counted: so many of them, from the first, count: the next one was made where nothing could
-            be lifted. None: all.
-        unreachable: objects left at the end of the counted attempts that nothing can lift; None:
-            not looked for.
-        stages: times that the scene was looked at.
-        answered: of them with a grasp to execute.
-        objects: that may be lifted, at the start.
-        removed: of them that were.
-        evaluations: of the network that a pose went through.
-    """
-
-    first: list[tuple[bool, str]] = field(default_factory=list)
-    targets: list[str] = field(default_factory=list)
-    sampled: list[tuple[bool, bool, str]] = field(default_factory=list)
-    """(success, passed our own check, reason) of every judged sample."""
-    stages: int = 0
-    answered: int = 0
-    objects: int = 0
-    removed: int = 0
-    removed_counted: int = 0
-    """By the attempts that count."""
-    counted: int | None = None
-    unreachable: int | None = None
-    ranked: list[tuple[RankedGrasp, bool, str]] = field(default_factory=list)
-    """Returned grasps that were judged, with success and reason."""
-    seconds: list[float] = field(default_factory=list)
-    """Wall time of every synthesis."""
-    evaluations: int = 0
-
-
 def run_scene(
     settings: ProtocolSettings,
     gripper: Gripper,
@@ -227,9 +190,13 @@ def run_scene(
         if on_stage is not None:
             on_stage(result, cloud, outcome)
         outcome.targets.append(_target(world, models, result))
-        for grasp in result.grasps[: settings.judged]:
-            verdict = cycle.verdict(grasp, approach=binpick)
-            outcome.ranked.append((grasp, bool(verdict.success), verdict.reason.value))
+        if settings.judged:
+            outcome.judged.append(
+                [
+                    JudgedGrasp.of(grasp, cycle.verdict(grasp, approach=binpick))
+                    for grasp in result.grasps[: settings.judged]
+                ]
+            )
         if binpick:
             before = world.save()
             _pick(cycle, result, outcome)
@@ -351,7 +318,8 @@ def _judge_samples(
     )
     for grasp in result.grasps:
         verdict = cycle.verdict(grasp, approach=settings.protocol == "binpick")
-        outcome.sampled.append((bool(verdict.success), grasp.collision_free, verdict.reason.value))
+        sample = (bool(verdict.success), bool(grasp.collision_free), verdict.reason.value)
+        outcome.sampled.append(sample)
 
 
 def _scene(

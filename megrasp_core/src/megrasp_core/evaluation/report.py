@@ -20,8 +20,10 @@ from megrasp_core.jobs import ExecutorConfig, Progress, run_units
 from megrasp_core.machine import processor
 from megrasp_core.objects import ObjectModel
 
+from .kept_scenes import KeptScenes
+from .outcome import SceneOutcome
 from .planners import Planner
-from .protocols import ProtocolSettings, SceneOutcome, run_scene
+from .protocols import ProtocolSettings, run_scene
 from .search import GraspSearch
 from .statistics import cluster_bootstrap, roc_auc, wilson
 
@@ -84,12 +86,7 @@ class EvaluationResult:
             | {"of": [f"{reason}: {t}" for (_, reason), t in zip(s.first, s.targets, strict=True)]}
             for s in scenes
         ]
-        ranked = [x for s in scenes for x in s.ranked]
-        if ranked:
-            scores = np.array([grasp.score for grasp, _, _ in ranked])
-            held = np.array([success for _, success, _ in ranked])
-            content["judged"] = wilson(int(held.sum()), len(held)).to_json()
-            content["score_auc"] = roc_auc(scores, held)
+        content |= _judged(scenes)
         content["hardware"] = hardware()
         content["config"] = {
             **dataclasses.asdict(settings),
@@ -106,6 +103,28 @@ class EvaluationResult:
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(self.to_json(), indent=1) + "\n")
+
+
+def _judged(scenes: Sequence[SceneOutcome]) -> dict[str, Any]:
+    """What became of the returned grasps that were judged, one by one and stage by stage; nothing
+    where none were.
+    """
+    stages = [stage for s in scenes for stage in s.judged if stage]
+    grasps = [grasp for stage in stages for grasp in stage]
+    if not grasps:
+        return {}
+    held = np.array([grasp.success for grasp in grasps])
+    any_held = sum(any(grasp.success for grasp in stage) for stage in stages)
+    objects = [{p for g in stage if g.success for p in g.lifted} for stage in stages]
+    return {
+        "judged": wilson(int(held.sum()), len(held)).to_json(),
+        "score_auc": roc_auc(np.array([grasp.score for grasp in grasps]), held),
+        "judged_stages": {
+            "first": wilson(sum(stage[0].success for stage in stages), len(stages)).to_json(),
+            "any": wilson(any_held, len(stages)).to_json(),
+            "objects_lifted": round(float(np.mean([len(found) for found in objects])), 2),
+        },
+    }
 
 
 def _cleared(scenes: Sequence[SceneOutcome], possible_only: bool) -> dict[str, Any]:
@@ -140,6 +159,7 @@ def evaluate(
     objects: str = "procedural",
     planned_for: str | None = None,
     executor: ExecutorConfig | None = None,
+    kept: KeptScenes | None = None,
     on_scene: Callable[[int, EvaluationResult], None] | None = None,
 ) -> EvaluationResult:
     """Run all scenes of a protocol; where and by how many workers changes nothing but the time
@@ -154,6 +174,7 @@ def evaluate(
         objects: where they come from, for the result file.
         planned_for: name of the gripper that the planner plans for, where it is another.
         executor: how the scenes are spread; by default one after another, in this process.
+        kept: scenes of the same run that are done, and where further ones are kept.
         on_scene: called with the number of scenes done and the result so far.
 
     Raises:
@@ -180,7 +201,7 @@ def evaluate(
         if on_scene is not None:
             on_scene(len(outcomes), result(outcomes))
 
-    return result(run_scenes(run, settings.scenes, executor, tell))
+    return result(run_scenes(run, settings.scenes, executor, tell, kept))
 
 
 def run_scenes(
@@ -188,6 +209,7 @@ def run_scenes(
     count: int,
     executor: ExecutorConfig | None,
     on_scene: Callable[[Mapping[int, SceneOutcome], SceneOutcome], None],
+    kept: KeptScenes | None = None,
 ) -> dict[int, SceneOutcome]:
     """The outcomes of scenes by number, in order.
 
@@ -196,24 +218,28 @@ def run_scenes(
         count: of scenes.
         executor: how they are spread; None: one after another, in this process.
         on_scene: called with all outcomes so far, in order, and the latest.
+        kept: scenes that are done, and where further ones are kept.
 
     Raises:
         SimulationError: a scene could not be run.
         KeyboardInterrupt: the run was stopped; rates of some scenes are not those of all.
     """
-    outcomes: dict[int, SceneOutcome] = {}
+    outcomes = {} if kept is None else {i: o for i, o in kept.outcomes.items() if i < count}
+    todo = [index for index in range(count) if index not in outcomes]
 
     def take(index: int, outcome: SceneOutcome) -> None:
         outcomes[index] = outcome
+        if kept is not None:
+            kept.add(index, outcome)
         on_scene(dict(sorted(outcomes.items())), outcome)
 
     if executor is None:
-        for index in range(count):
+        for index in todo:
             take(index, run(index))
-        return outcomes
+        return dict(sorted(outcomes.items()))
     summary = run_units(
         run,
-        range(count),
+        todo,
         executor,
         on_result=take,
         on_progress=_go_on_without_failures,

@@ -1,0 +1,141 @@
+"""Scenes that are done, kept beside the result file until it is written: an evaluation takes
+hours, and one that was stopped goes on.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from megrasp_core.errors import InvalidRequestError
+from megrasp_core.grippers import Gripper
+from megrasp_core.jobs import versions
+from megrasp_core.objects import ObjectModel
+
+from .outcome import SceneOutcome
+from .planners import Planner
+from .protocols import ProtocolSettings
+
+__all__ = ["KeptScenes"]
+
+PACKAGE = Path(__file__).parents[1]
+
+
+class KeptScenes:
+    """A file with a line for the run and one for every scene, number and outcome."""
+
+    def __init__(self, path: str | Path, run: Mapping[str, Any]) -> None:
+        """Read what an earlier run left there, or begin.
+
+        Args:
+            path: of the file; missing folders are made.
+            run: plain values that say what is run. Scenes of other runs, or of other code, are
+                not those of this one.
+
+        Raises:
+            InvalidRequestError: the file holds those of another run.
+        """
+        self.path = Path(path)
+        self.outcomes: dict[int, SceneOutcome] = {}
+        self._run = json.loads(json.dumps({**run, "versions": versions(), "code": _code()}))
+        if self.path.exists():
+            self._read()
+
+    @classmethod
+    def beside(
+        cls,
+        out: Path,
+        settings: ProtocolSettings,
+        gripper: Gripper,
+        planner: Planner,
+        pool: Sequence[ObjectModel],
+        graspable: Sequence[int],
+        planned_for: Gripper | None = None,
+    ) -> KeptScenes:
+        """Those of an evaluation, in OUT.part; the number of scenes may be another than before.
+
+        Args:
+            out: result file.
+            settings: the run, see `run_scene` as for what follows.
+            gripper: in the simulation.
+            planner: answers with grasps.
+            pool: objects.
+            graspable: indices of those that the gripper can hold.
+            planned_for: the gripper that is planned for, where it is another.
+
+        Raises:
+            InvalidRequestError: the file holds those of another run.
+        """
+        of_settings = dataclasses.asdict(settings)
+        del of_settings["scenes"]
+        run = {
+            "settings": of_settings,
+            "gripper": gripper.hash,
+            "planned_for": (planned_for or gripper).hash,
+            "planner": planner.facts(),
+            "objects": [model.name for model in pool],
+            "graspable": [int(index) for index in graspable],
+        }
+        return cls(out.with_name(f"{out.name}.part"), run)
+
+    def add(self, number: int, outcome: SceneOutcome) -> None:
+        """Keep a scene."""
+        self.outcomes[number] = outcome
+        if not self.path.exists():
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._append(self._run)
+        self._append({"scene": number, "outcome": outcome.to_json()})
+
+    def remove(self) -> None:
+        """Delete the file: the result is written."""
+        self.path.unlink(missing_ok=True)
+
+    def _append(self, content: dict[str, Any]) -> None:
+        with self.path.open("a") as file:
+            file.write(json.dumps(content) + "\n")
+
+    def _read(self) -> None:
+        lines = self.path.read_text().splitlines(keepends=True)
+        found = _parsed(lines[0]) if lines else None
+        if found != self._run:
+            known = found if isinstance(found, dict) else {}
+            other = [key for key in self._run if known.get(key) != self._run[key]]
+            raise InvalidRequestError(
+                f"{self.path} holds scenes of a run that was stopped and differs in "
+                f"{', '.join(other) or 'what it kept'}; expected those of this run. Run what was "
+                "stopped to its end, delete the file, or give another --out."
+            )
+        whole = lines[:1]
+        for line in lines[1:]:
+            content = _parsed(line)
+            # A kill may have cut the last line short.
+            if not isinstance(content, dict) or not line.endswith("\n"):
+                break
+            try:
+                number, outcome = int(content["scene"]), content["outcome"]
+                self.outcomes[number] = SceneOutcome.from_json(outcome)
+            except (KeyError, TypeError, ValueError):
+                break
+            whole.append(line)
+        if len(whole) < len(lines):
+            self.path.write_text("".join(whole))
+
+
+def _parsed(line: str) -> Any:
+    try:
+        return json.loads(line)
+    except ValueError:
+        return None
+
+
+def _code() -> str:
+    """A hash of the package's source: other code, other outcomes."""
+    digest = hashlib.sha256()
+    for path in sorted(PACKAGE.rglob("*.py")):
+        digest.update(f"{path.relative_to(PACKAGE)}\n".encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
