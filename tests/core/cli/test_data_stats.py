@@ -54,3 +54,19 @@ def test_a_card_is_of_a_library(capsys, folder, tmp_path):
     (tmp_path / "manifest.json").write_text("{}")
     code, _, told = run(capsys, "--out", tmp_path, "--card", tmp_path / "card.md")
     assert code == 2 and "expected a grasp library" in told
+
+
+def test_recipes_are_counted_together(capsys, tmp_path):
+    recipes = Path(__file__).parents[3] / "models" / "scene_recipes" / "three_grippers_20000.npz"
+    code, said, _ = run(capsys, "--data", recipes, recipes)
+    stats = json.loads(said)
+    assert code == 0 and stats["scenes"] == 46 and stats["mean_points"] == 0
+    won = sum(
+        count
+        for one in stats["grippers"].values()
+        for kind, count in one["labels"].items()
+        if kind.endswith("success")
+    )
+    assert won == sum(one["successes"] for one in stats["objects"].values()) == 2 * 815
+    code, _, told = run(capsys, "--data", recipes, tmp_path)
+    assert code == 2 and "one or the other" in told

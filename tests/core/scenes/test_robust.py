@@ -262,7 +262,7 @@ def test_what_came_of_it_and_what_it_took_is_told(data, tmp_path):
     took = run["robust"][GRIPPER]
     assert run["grasps"] == took["grasps"] == 9 and took["trials"] == 36
     assert 0 < took["cpu_seconds"] <= run["cpu_seconds"] + 0.1
-    stats = scene_stats(tmp_path / "out")
+    stats = scene_stats(SceneDataset(tmp_path / "out"), runs_of(tmp_path / "out"))
     told = stats["robust"][GRIPPER]
     assert told == {**stats["robust"]["all"]}
     assert sum(sum(counts) for counts in told["held"].values()) == 9
@@ -271,7 +271,7 @@ def test_what_came_of_it_and_what_it_took_is_told(data, tmp_path):
     every = sum(np.array(counts) for counts in told["held"].values()) @ np.arange(5)
     assert sum(told["failed"].values()) == 36 - every
     assert told["cpu_seconds_a_grasp"] == pytest.approx(took["cpu_seconds"] / 9)
-    assert "robust" not in scene_stats(data)
+    assert "robust" not in scene_stats(SceneDataset(data))
 
 
 def test_bad_runs_are_refused(data, tmp_path, capsys):

@@ -228,7 +228,7 @@ def test_stats_count_labels(tmp_path):
     records = [record(seed, in_bin=seed != 1) for seed in range(4)]
     for one in records:
         writer.add(one)
-    stats = scene_stats(tmp_path)
+    stats = scene_stats(SceneDataset(tmp_path))
     assert stats["scenes"] == 4 and stats["in_bin"] == 3
     assert stats["mean_objects"] == 3 and stats["mean_points"] == 50
     held = sum(int(r.labels["first"].label.sum()) for r in records)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
+from megrasp_core.errors import InvalidRequestError
+
 
 def commit_of(checkout: Path) -> str:
     """Short hash of a checkout's commit, or "unknown"."""
@@ -14,3 +16,18 @@ def commit_of(checkout: Path) -> str:
         text=True,
     )
     return done.stdout.strip() or "unknown"
+
+
+def package_of(checkout: Path) -> Path:
+    """The folder of a checkout that holds the package.
+
+    Raises:
+        InvalidRequestError: it holds none.
+    """
+    source = checkout / "megrasp_core" / "src"
+    if not (source / "megrasp_core").is_dir():
+        raise InvalidRequestError(
+            f"{checkout} holds no megrasp_core/src; expected a checkout of an older commit. Make "
+            "one with `git worktree add DIR COMMIT`."
+        )
+    return source

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from megrasp_core.errors import DataError, InvalidRequestError
+from megrasp_core.errors import DataError
 from megrasp_core.machine import processor
 
-from .checkout import commit_of
+from .checkout import commit_of, package_of
 
 GRIPPERS_A_SCENE, POSES, LABELLED = 4, 192, 24
 """The batch: one scene, so many of its grippers, noisy and labelled poses of each."""
@@ -118,12 +118,7 @@ def bench_training(
         DataError: no such scenes, or a contestant failed.
         InvalidRequestError: `against` is no checkout.
     """
-    source = against / "megrasp_core" / "src"
-    if not (source / "megrasp_core").is_dir():
-        raise InvalidRequestError(
-            f"{against} holds no megrasp_core/src; expected a checkout of an older commit. Make "
-            "one with `git worktree add DIR COMMIT`."
-        )
+    source = package_of(against)
     here = Path(__file__).resolve().parents[2]
     like_this = (source / "megrasp_core" / "training" / "processes.py").exists()
     contestants = [

@@ -7,7 +7,7 @@ from typing import Literal
 
 from megrasp_core.errors import InvalidRequestError
 
-from .common import block_writer, emit, progress_bar
+from .common import block_writer, emit, progress_bar, say
 
 __all__ = ["bench"]
 
@@ -16,7 +16,7 @@ def bench(
     out: Path | None = None,
     device: Literal["cpu", "cuda"] = "cpu",
     stage: Literal[
-        "synthesis", "render", "data", "training", "bins", "serve", "startup", "ros"
+        "synthesis", "render", "data", "training", "learning", "bins", "serve", "startup", "ros"
     ] = "synthesis",
     gripper: str = "robotiq_2f85",
     model: str | None = None,
@@ -25,6 +25,9 @@ def bench(
     page: Path | None = None,
     data: Path | None = None,
     against: Path | None = None,
+    validation: Path | None = None,
+    minutes: float = 60.0,
+    share: float = 0.6,
     scenes: int = 200,
     seed: int = 0,
     note: str = "",
@@ -33,11 +36,12 @@ def bench(
 
     Or CPU-seconds: `render`, to render the open and closed cloud of all registered and of 50
     procedural grippers; `data`, rates of the data generator for the grippers that are trained;
-    `training`, poses a second in training beside those of an older checkout. `bins`: how often and
-    how well bins are found in simulated clouds, and how often one on a table without. `serve`: a
-    request to the resident planner beside the same call in the process. `startup`: CPU-seconds
-    until a command can begin, beside those of an older checkout. `ros`: answers of grasp_server as
-    its clients see them, clouds lost, idle load; source the workspace.
+    `training`, poses a second in training beside those of an older checkout; `learning`, the loss
+    after a share of the CPU time that the older one has, side by side on two cores. `bins`: how
+    often and how well bins are found in simulated clouds, and how often one on a table without.
+    `serve`: a request to the resident planner beside the same call in the process. `startup`:
+    CPU-seconds until a command can begin, beside those of an older checkout. `ros`: answers of
+    grasp_server as its clients see them, clouds lost, idle load; source the workspace.
 
     Try:
       megrasp bench --threads 2 --out bench.json
@@ -47,6 +51,7 @@ def bench(
       megrasp bench --stage ros --out docs/results/ros_bench.json
       git worktree add ../before 1540005
       megrasp bench --stage training --data data/scenes --against ../before --repeats 3
+      megrasp bench --stage learning --data d --validation v --against ../before --out l.json
       megrasp bench --stage serve --out docs/results/serve_bench.json
       megrasp bench --stage startup --against ../before --out docs/results/startup.json --page X.md
 
@@ -61,8 +66,12 @@ def bench(
         page: markdown page whose lines between <!-- rates --> and <!-- /rates --> (data),
             <!-- bins --> and <!-- /bins -->, or <!-- startup --> and <!-- /startup --> become
             tables of the result.
-        data: data set of scenes labelled for four grippers each (training).
-        against: checkout to compare with (training, startup).
+        data: data set of scenes, for training labelled for four grippers each (training,
+            learning).
+        against: checkout to compare with (training, learning, startup).
+        validation: data set of scenes with other objects (learning).
+        minutes: of CPU time of the older checkout (learning).
+        share: of them, for the present code (learning).
         scenes: scenes with a bin, and as many tables (bins).
         seed: of the first scene; the others follow (bins).
         note: what else the machine was doing, for the result file (ros).
@@ -78,6 +87,8 @@ def bench(
         )
     if stage == "startup":
         return _startup(against, repeats, out, page)
+    if stage == "learning":
+        return _learning(data, validation, against, minutes, share, out)
     if (stage == "training") != (data is not None and against is not None):
         raise InvalidRequestError(
             f"--stage {stage} was given with --data {data} and --against {against}; expected both "
@@ -143,6 +154,34 @@ def bench(
         content = run(
             synthesizer, repeats=repeats, on_progress=lambda done, _: bar.update(done - bar.n)
         )
+    emit(content, out)
+    return 0
+
+
+def _learning(
+    data: Path | None,
+    validation: Path | None,
+    against: Path | None,
+    minutes: float,
+    share: float,
+    out: Path | None,
+) -> int:
+    from megrasp_core.benchmarks.learning import bench_learning
+
+    if data is None or validation is None or against is None or out is None:
+        raise InvalidRequestError(
+            "--stage learning was given without --data, --validation, --against or --out; "
+            "expected all of them. Models that are trained meanwhile lie beside --out."
+        )
+    if minutes <= 0 or share <= 0:
+        raise InvalidRequestError(
+            f"--minutes {minutes} and --share {share} were given; expected both above 0."
+        )
+    work = out.with_name(f"{out.stem}_models")
+    say(f"trains for {minutes:g} and {minutes * share:g} minutes of CPU time, models in {work}")
+    content = bench_learning(
+        data, validation, against, work, cpu_seconds=60 * minutes, share=share
+    )
     emit(content, out)
     return 0
 

@@ -60,7 +60,7 @@ class KeptScenes:
 
         Args:
             out: result file.
-            settings: the run, see `run_scene` as for what follows.
+            settings: of the protocol.
             gripper: in the simulation.
             planner: answers with grasps.
             pool: objects.

@@ -1,43 +1,50 @@
-"""Counts of a scene data set on disk, and what is wrong with a record."""
+"""Counts of labelled scenes, and what is wrong with a record."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
-from megrasp_core.jobs import runs_of
-
-from .device_pack import DevicePack
+from .device_pack import PackedScene
 from .records import NOT_TRIED, ROBUST_TRIALS, GripperLabels, Kind, SceneRecord
-from .robust_stats import Held, held_counts, joined_counts, robust_stats
-from .scene_dataset import SceneDataset
+from .robust_stats import Held, counted_as, held_counts, joined_counts, robust_stats
 
 
 def scene_stats(
-    folder: str | Path, on_progress: Callable[[int, int], object] | None = None
+    records: Iterable[SceneRecord | PackedScene],
+    runs: Sequence[dict[str, Any]] = (),
+    on_progress: Callable[[int], object] | None = None,
 ) -> dict[str, Any]:
-    """Counts of a scene data set or device pack.
+    """Counts of labelled scenes.
+
+    Args:
+        records: of data sets, device packs or recipes; read one after another.
+        runs: what making them took, as in `runs.jsonl`.
+        on_progress: called with the number of scenes done.
 
     Returns:
-        scenes, runs (what each took), in_bin, mean_objects, mean_points, and per gripper: grasps
-        by kind and label, the success rate of the judged library grasps, the reasons of failure,
-        of how many successes it is known what came along and with how many something did, the
-        share of scenes with any success, and successes per scene; and `robust_stats` as `robust`,
-        where there are any.
+        scenes, runs, in_bin, mean_objects, mean_points (0 of recipes, which have none); per
+        gripper, all procedural ones together: grasps by kind and label, the success rate of the
+        judged library grasps, the reasons of failure, of how many successes it is known what came
+        along and with how many something did, the share of scenes with any success, and successes
+        per scene; per object that grasps were made for: scenes, successes, and for how many
+        grippers there are any; and `robust_stats` as `robust`, where there are any.
     """
-    dataset = DevicePack(folder) if Path(folder).is_file() else SceneDataset(folder)
     grippers: dict[str, dict[str, Any]] = {}
+    seen: Counter[str] = Counter()
+    held_by: dict[str, Counter[str]] = {}
     objects, points, bins = [], [], 0
     held: dict[str, list[Held]] = {}
-    for index, record in enumerate(dataset):
+    for record in records:
         objects.append(len(record.object_names))
         points.append(len(record.points))
         bins += record.bin is not None
-        for name, labels in record.labels.items():
+        tried: set[int] = set()
+        for gripper, labels in record.labels.items():
+            name = counted_as(gripper)
             entry = grippers.setdefault(
                 name,
                 {
@@ -47,30 +54,39 @@ def scene_stats(
                 },
             )
             held.setdefault(name, []).append(held_counts(labels))
+            success = labels.label == 1
+            tried.update(np.unique(labels.object).tolist())
             entry["scenes"] += 1
-            entry["any"] += bool((labels.label == 1).any())
-            entry["success"] += int((labels.label == 1).sum())
+            entry["any"] += bool(success.any())
+            entry["success"] += int(success.sum())
             for kind, label in zip(labels.kind, labels.label):
                 entry["count"][
                     f"{Kind(int(kind)).name.lower()}_{'success' if label else 'failure'}"
                 ] += 1
-            watched = (labels.label == 1) & (labels.extra != NOT_TRIED)
+            for place in labels.object[success].tolist():
+                held_by.setdefault(record.object_names[place], Counter())[name] += 1
+            watched = success & (labels.extra != NOT_TRIED)
             entry["watched"] += int(watched.sum())
             entry["along"] += int((watched & (labels.extra > 0)).sum())
             judged = (labels.kind == Kind.JUDGED) & (labels.label == 0)
             entry["reasons"].update(str(reason) for reason in labels.reason[judged])
+        seen.update({record.object_names[place] for place in tried})
         if on_progress is not None:
-            on_progress(index + 1, len(dataset))
-    runs = runs_of(Path(folder))
+            on_progress(len(objects))
     robust = robust_stats({name: joined_counts(parts) for name, parts in held.items()}, runs)
     return {
-        "scenes": len(dataset),
+        "scenes": len(objects),
         # What the runs of robust labels took is told with the labels.
         "runs": [{key: run[key] for key in run if key != "robust"} for run in runs],
         "in_bin": bins,
         "mean_objects": float(np.mean(objects)) if objects else 0.0,
         "mean_points": float(np.mean(points)) if points else 0.0,
         "grippers": {name: _summary(entry) for name, entry in sorted(grippers.items())},
+        "objects": {
+            name: {"scenes": count, "successes": by.total(), "grippers": len(by)}
+            for name, count in sorted(seen.items())
+            for by in [held_by.get(name, Counter())]
+        },
         **({"robust": robust} if robust else {}),
     }
 

@@ -8,10 +8,17 @@ from typing import Any
 
 import numpy as np
 
+from megrasp_core.grippers import is_procedural
+
 from .records import NOT_TRIED, ROBUST_TRIALS, GripperLabels, Kind
 
 Held = dict[str, list[int]]
 """By kind and plain label, such as "judged_success": grasps that held in 0, 1, ... trials."""
+
+
+def counted_as(gripper: str) -> str:
+    """The name under which a gripper is counted: all procedural ones as one."""
+    return "procedural" if is_procedural(gripper) else gripper
 
 
 def held_counts(labels: GripperLabels) -> Held:
@@ -53,7 +60,7 @@ def robust_stats(held: Mapping[str, Held], runs: Iterable[dict[str, Any]]) -> di
     failed: dict[str, Counter[str]] = {}
     for run in runs:
         for name, part in run.get("robust", {}).items():
-            for key in (name, "all"):
+            for key in (counted_as(name), "all"):
                 amounts = {what: part[what] for what in ("grasps", "trials", "cpu_seconds")}
                 took.setdefault(key, Counter()).update(amounts)
                 failed.setdefault(key, Counter()).update(part["failed"])

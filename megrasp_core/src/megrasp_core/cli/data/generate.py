@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -158,18 +159,20 @@ def scenes(
 
 
 def stats(
-    out: Annotated[Path, tyro.conf.arg(aliases=["--data"])],
+    out: Annotated[tuple[Path, ...], tyro.conf.arg(aliases=["--data"])],
     pictures: Path | None = None,
     card: Path | None = None,
     command: str | None = None,
 ) -> int:
     """Counts of a data set or a library, as JSON, and pictures of them.
 
-    Try: megrasp data stats --out data/library --pictures data/pictures --card data/card.md
+    Try:
+      megrasp data stats --out data/library --pictures data/pictures --card data/card.md
+      megrasp data stats --data models/scene_recipes/eleven*.npz
 
     Args:
-        out: folder of `data grasps`, `data scenes` or `data robust`, a packed library, or a device
-            pack.
+        out: folder of `data grasps` or a packed library; or folders of `data scenes` or `data
+            robust`, files of recipes and device packs, which are counted together.
         pictures: folder to draw into: of a library yield.png, grippers_per_object.png, objects.png
             and grasps.png, of scenes scenes.png.
         card: markdown file to write about a library; the counts go to stats.json beside it.
@@ -179,20 +182,35 @@ def stats(
 
     if command is not None and card is None:
         raise InvalidRequestError("--command was given without --card; expected both.")
-    if (out / "manifest.json").is_file() or out.suffix == SUFFIX:
-        if card is not None:
-            raise InvalidRequestError(
-                f"--card was given and {out} holds scenes; expected a grasp library."
-            )
-        return _scene_stats(out, pictures)
-    return _library_stats(out, pictures, card, command)
+    if not out:
+        raise InvalidRequestError("--out was given without a path; expected at least one.")
+    scenes = [(p / "manifest.json").is_file() or p.suffix in (SUFFIX, ".npz") for p in out]
+    if len(out) == 1 and not scenes[0]:
+        return _library_stats(out[0], pictures, card, command)
+    if card is not None:
+        raise InvalidRequestError(
+            f"--card was given and {out[0]} holds scenes; expected a grasp library."
+        )
+    return _scene_stats(out, pictures)
 
 
-def _scene_stats(out: Path, pictures: Path | None) -> int:
-    from megrasp_core.storage import scene_stats
+def _scene_stats(paths: tuple[Path, ...], pictures: Path | None) -> int:
+    from megrasp_core.jobs import runs_of
+    from megrasp_core.scenes import read_recipes
+    from megrasp_core.storage import DevicePack, SceneDataset, scene_stats
 
-    with progress_bar(None, "scenes") as bar:
-        content = scene_stats(out, lambda done, total: bar.update())
+    recipes = [path for path in paths if path.suffix == ".npz"]
+    others = [path for path in paths if path.suffix != ".npz"]
+    if recipes and others:
+        raise InvalidRequestError(
+            f"recipes ({recipes[0]}) and data with clouds ({others[0]}) were given; expected one "
+            "or the other, since recipes have no points. Ask for them one after another."
+        )
+    parts = [read_recipes(path) for path in recipes]
+    parts += [DevicePack(path) if path.is_file() else SceneDataset(path) for path in others]
+    runs = [run for path in others for run in runs_of(path)]
+    with progress_bar(sum(map(len, parts)), "scenes") as bar:
+        content = scene_stats(chain.from_iterable(parts), runs, lambda _: bar.update())
     emit(content, None)
     if pictures is not None:
         from megrasp_core.drawing.data_charts import draw_scene_stats
