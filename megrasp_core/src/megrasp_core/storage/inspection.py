@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .device_pack import PackedScene
+from .packed_scene import PackedScene
 from .records import NOT_TRIED, ROBUST_TRIALS, GripperLabels, Kind, SceneRecord
 from .robust_stats import Held, counted_as, held_counts, joined_counts, robust_stats
 
