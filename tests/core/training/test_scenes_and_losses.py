@@ -19,6 +19,7 @@ from megrasp_core.pointcloud import SceneSettings
 from megrasp_core.training import (
     SceneSource,
     TrainConfig,
+    TrainingEntry,
     balance,
     divided,
     is_held_out,
@@ -175,6 +176,21 @@ def test_balanced_batches_give_rare_objects_their_share():
     weights = balance(owner)
     assert np.isclose(weights[owner == 1].sum(), 0.5)
     assert np.isclose(weights.sum(), 1.0)
+    weights = balance(owner, np.array([1.0, 3.0]))
+    assert np.isclose(weights[owner == 1].sum(), 0.75)
+    assert np.isclose(weights.sum(), 1.0)
+
+
+@pytest.mark.parametrize(("rare", "share"), [(0.0, 0.1), (0.5, 0.25), (1.0, 0.5)])
+def test_objects_of_few_scenes_get_more_of_the_draws(rare, share):
+    names = [("common",)] * 9 + [("rare",)]
+    scenes = [TrainingEntry(record(seed, objects=name)) for seed, name in enumerate(names)]
+    config = dataclasses.replace(CONFIG, rare_objects=rare, node_sets=1, point_jitter=0.0)
+    drawn = source(scenes, config)
+    places = [entry.nodes(SceneSettings(), config.network, 1)[0].centroid for entry in scenes]
+    rng = np.random.default_rng(0)
+    found = [drawn.draw(rng, confidence=False).nodes.centroid for _ in range(400)]
+    assert np.isclose(np.mean([np.allclose(one, places[9]) for one in found]), share, atol=0.07)
 
 
 def test_the_nearest_copy_against_all_copies():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -105,6 +106,21 @@ class SceneSource:
         self.pools = {name: np.array(pools[name]) for name in sorted(pools)}
         self.grippers = list(self.pools)
         self._shares = gripper_shares(self.grippers, config, hands)
+        self._weights = object_weights(self.entries, config.rare_objects)
+        self._scene_shares = {name: self._shares_of(name) for name in self.pools}
+
+    def _shares_of(self, gripper: str) -> NDArray[np.float64] | None:
+        """With which share each scene of a pool is drawn: by the weights of the objects that it
+        has grasps of. None: all alike.
+        """
+        if self._weights is None:
+            return None
+        found = np.zeros(len(self.pools[gripper]))
+        for row, place in enumerate(self.pools[gripper]):
+            table = self.entries[place].tables[gripper]
+            used = table.owner if self._config.heads_only else table.owner[table.good]
+            found[row] = self._weights[place][np.unique(used)].sum()
+        return found / found.sum()
 
     def draw(self, rng: np.random.Generator, *, confidence: bool = True) -> SceneBatch:
         """A random scene of a random gripper, with further grippers of the scene.
@@ -115,7 +131,8 @@ class SceneSource:
         """
         config = self._config
         gripper = self.grippers[int(rng.choice(len(self.grippers), p=self._shares))]
-        entry = self.entries[int(rng.choice(self.pools[gripper]))]
+        place = int(rng.choice(self.pools[gripper], p=self._scene_shares[gripper]))
+        entry = self.entries[place]
         others = [name for name in entry.tables if name in self.pools and name != gripper]
         others = [others[i] for i in rng.permutation(len(others))[: config.grippers_per_scene - 1]]
         nodes, graph = entry.nodes(
@@ -128,7 +145,22 @@ class SceneSource:
             drop_gravity=rng.random() < config.gravity_dropout,
         )
         tables = {name: entry.tables[name] for name in (gripper, *others)}
-        return scene_batch(nodes, graph, tables, config, rng, confidence=confidence)
+        weights = None if self._weights is None else self._weights[place]
+        return scene_batch(
+            nodes, graph, tables, config, rng, confidence=confidence, object_weights=weights
+        )
+
+
+def object_weights(
+    entries: Sequence[TrainingEntry], rare: float
+) -> list[NDArray[np.float64]] | None:
+    """Per scene the weight (n,) of each of its objects: its number of scenes to the power of
+    -`rare`, so that over all scenes an object gets its number of scenes to 1 - `rare`. None for 0.
+    """
+    if not rare:
+        return None
+    scenes = Counter(name for entry in entries for name in set(entry.object_names))
+    return [np.array([scenes[name] ** -rare for name in entry.object_names]) for entry in entries]
 
 
 def gripper_shares(
@@ -174,6 +206,7 @@ def scene_batch(
     *,
     poses_per_gripper: int | None = None,
     confidence: bool = True,
+    object_weights: NDArray[np.float64] | None = None,
 ) -> SceneBatch:
     """Poses of a scene: the noisy ones shared evenly by the grippers that hold anything in it.
 
@@ -185,6 +218,7 @@ def scene_batch(
         rng: which poses.
         poses_per_gripper: instead of the config's poses per scene.
         confidence: take labelled poses for the confidence.
+        object_weights: (n,) of the scene's objects; None: all alike.
     """
 
     def centred(translation: NDArray[np.float64]) -> Tensor:
@@ -209,7 +243,9 @@ def scene_batch(
     for name, table in tables.items():
         good, bad = np.flatnonzero(table.good), np.flatnonzero(~table.good)
         if len(good) and not config.heads_only:
-            weights = balance(table.owner[good]) if config.object_balanced else None
+            weights = (
+                balance(table.owner[good], object_weights) if config.object_balanced else None
+            )
             positives[name] = poses(table, rng.choice(good, counts[name], p=weights))
         if confidence and config.confidence_weight:
             half = halves[name] // 2
@@ -230,8 +266,14 @@ def _even(total: int, parts: int) -> list[int]:
     return [total // parts + (place < total % parts) for place in range(parts)]
 
 
-def balance(owner: NDArray[np.integer]) -> NDArray[np.float64]:
-    """Probabilities that give every object the same share (the paper's biased sampling)."""
+def balance(
+    owner: NDArray[np.integer], object_weights: NDArray[np.float64] | None = None
+) -> NDArray[np.float64]:
+    """Probabilities that give every object the same share (the paper's biased sampling), or one by
+    its weight `(n,)`.
+    """
     _, inverse, counts = np.unique(owner, return_inverse=True, return_counts=True)
     weights = 1.0 / counts[inverse]
+    if object_weights is not None:
+        weights = weights * object_weights[owner]
     return weights / weights.sum()

@@ -98,6 +98,9 @@ class TrainConfig:
     """Labelled poses per scene and step, half of them failures where there are enough."""
     object_balanced: bool = True
     """Objects of a scene have equal shares in its poses."""
+    rare_objects: float = 0.0
+    """Objects that are in few scenes get more of the poses: 0, as many as they have scenes; 1, all
+    objects as many; 0.5, by the square root of their scenes."""
     validation_pairs: int = 6
     """Scenes per gripper that validate."""
     validation_poses: int = 48
@@ -137,6 +140,7 @@ class TrainConfig:
             confidence_weight=WEIGHT,
             confidence_every=FROM_ONE,
             confidence_poses=COUNT,
+            rare_objects=SHARE,
             validation_pairs=COUNT,
             validation_poses=COUNT,
             checkpoint_seconds=LENGTH,
