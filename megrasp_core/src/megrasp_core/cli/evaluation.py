@@ -249,10 +249,15 @@ def _rates(
                 told = ", ".join(f"{key} {value}" for key, value in rates.items())
                 say(f"{done} scenes: {told}")
 
-        result = evaluate(
-            settings, executing, planner, pool, usable, objects=place,
-            planned_for=planned_for.name, executor=spread, kept=kept, on_scene=tell,
-        )  # fmt: skip
+        try:
+            result = evaluate(
+                settings, executing, planner, pool, usable, objects=place,
+                planned_for=planned_for.name, executor=spread, kept=kept, on_scene=tell,
+            )  # fmt: skip
+        except KeyboardInterrupt:
+            if kept.outcomes:
+                say(f"{len(kept.outcomes)} scenes are kept; the same command goes on with them")
+            raise
     content = result.to_json()
     for key in ("first", "first_all", "filtered", "unfiltered", "judged"):
         if content.get(key, {}).get("trials"):
