@@ -16,7 +16,7 @@ def render(recipes: tuple[Path, ...], out: Path) -> int:
 
     A data set that exists is continued. Scans are looked for under MEGRASP_ASSETS.
 
-    Try: megrasp data render --recipes models/scene_recipes/*.npz --out data/scenes
+    Try: megrasp data render --recipes models/scene_recipes/eleven*.npz --out data/scenes
 
     Args:
         recipes: files of `data pack`.
