@@ -29,16 +29,19 @@ def test_both_train_side_by_side_and_are_validated_alike(tmp_path: Path) -> None
     assert set(now["per_gripper"]) == set(GRIPPERS)
     # One step each, of the same network, from the same seed.
     assert math.isclose(before["diffusion"], now["diffusion"], abs_tol=0.02)
-    counts = tmp_path / "work" / "now" / "counts.json"
-    made = counts.stat().st_mtime_ns
+    done = [tmp_path / "work" / name / "done.json" for name in ("before", "now")]
+    made = [file.stat().st_mtime_ns for file in done]
     assert run() == first
-    assert counts.stat().st_mtime_ns == made
+    assert [file.stat().st_mtime_ns for file in done] == made
+    # With other time what is there counts no more.
+    bench_learning(data, other, ROOT, tmp_path / "work", cpu_seconds=1e-3, share=0.25)
+    assert done[0].stat().st_mtime_ns == made[0] < done[1].stat().st_mtime_ns
 
 
 def test_errors_say_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(InvalidRequestError, match="git worktree add DIR COMMIT"):
         bench_learning(tmp_path, tmp_path, tmp_path, tmp_path / "work")
-    with pytest.raises(DataError, match=r"the trainer before in .* failed"):
+    with pytest.raises(DataError, match=r"the trainer before in .* failed.*log.txt"):
         bench_learning(tmp_path / "none", tmp_path, ROOT, tmp_path / "work", cpu_seconds=1e-3)
     assert main(["bench", "--stage", "learning", "--data", str(tmp_path)]) == 2
     assert "expected all of them" in capsys.readouterr().err

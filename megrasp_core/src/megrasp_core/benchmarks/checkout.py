@@ -7,6 +7,9 @@ from pathlib import Path
 
 from megrasp_core.errors import InvalidRequestError
 
+PRESENT = Path(__file__).resolve().parents[2]
+"""The folder that holds the package that runs."""
+
 
 def commit_of(checkout: Path) -> str:
     """Short hash of a checkout's commit, or "unknown"."""
@@ -31,3 +34,8 @@ def package_of(checkout: Path) -> Path:
             "one with `git worktree add DIR COMMIT`."
         )
     return source
+
+
+def trains_as_now(source: Path) -> bool:
+    """Whether the package in a folder has today's way to train, or that of 1540005."""
+    return (source / "megrasp_core" / "training" / "processes.py").exists()

@@ -6,8 +6,11 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,10 +18,12 @@ from typing import Any
 from megrasp_core.errors import DataError
 from megrasp_core.machine import processor
 
-from .checkout import commit_of, package_of
+from .checkout import PRESENT, commit_of, package_of, trains_as_now
 
 GRIPPERS = ("robotiq_2f85", "franka_hand", "robotiq_3f")
 """What the older checkout trains for."""
+
+LOG = "log.txt"
 
 _MEASURE = """
 import json, sys
@@ -29,13 +34,19 @@ GIVEN = json.loads(sys.argv[1])
 DATA, OUT, SECONDS = Path(GIVEN["data"]), Path(GIVEN["out"]), GIVEN["cpu_seconds"]
 GRIPPERS, COMPILED = tuple(GIVEN["grippers"]), GIVEN["compiled"]
 
+def progress(counters, config):
+    share = min(1.0, counters.cpu_seconds / SECONDS)
+    (OUT / "share").write_text(f"{share:.4f}")
+    return share
+
 def told(counters):
-    print(json.dumps({"poses": counters.poses, "cpu_seconds": counters.cpu_seconds}))
+    counts = {"poses": counters.poses, "cpu_seconds": counters.cpu_seconds}
+    (OUT / "done.json").write_text(json.dumps({"given": GIVEN, "counts": counts}))
 """
 _NOW = """
 from megrasp_core.training import Counters, TrainConfig, TrainingJob, TrainingRun
 from megrasp_core.training.processes import tuned_process
-Counters.progress = lambda self, config: min(1.0, self.cpu_seconds / SECONDS)
+Counters.progress = progress
 config = TrainConfig(grippers=GRIPPERS, procedural_share=0.0, total_poses=10**9)
 run = TrainingRun(TrainingJob((DATA,), OUT, compiled=COMPILED), config)
 with tuned_process():
@@ -46,7 +57,7 @@ told(run.counters)
 _BEFORE_PROCESSES = """
 from megrasp_core.training import Counters, TrainConfig
 from megrasp_core.training.loop import _Run
-Counters.progress = lambda self, config: min(1.0, self.cpu_seconds / SECONDS)
+Counters.progress = progress
 config = TrainConfig(grippers=GRIPPERS, total_seconds=1e9)
 run = _Run(OUT, config, "cpu", None)
 run.read(DATA)
@@ -85,6 +96,7 @@ def bench_learning(
     *,
     cpu_seconds: float = 3600.0,
     share: float = 0.6,
+    on_progress: Callable[[float], object] | None = None,
 ) -> dict[str, Any]:
     """Train as an older checkout does for `cpu_seconds`, and side by side as it is done now for a
     share of that, each to the end of its schedule, and compare the losses.
@@ -97,9 +109,11 @@ def bench_learning(
         data: one data set to train with.
         validation: data set of other objects.
         against: checkout to compare with.
-        work: folder for both models; one that is finished there is not trained again.
+        work: folder for both models; one that is finished there with the same data and time is not
+            trained again, any other is replaced.
         cpu_seconds: of the older trainer.
         share: of them, for the present one.
+        on_progress: called every second with the share that is done of the slower one.
 
     Returns:
         Content of the result file: diffusion losses, all, per gripper and per band of noise.
@@ -109,22 +123,27 @@ def bench_learning(
         InvalidRequestError: `against` is no checkout.
     """
     source = package_of(against)
-    like_this = (source / "megrasp_core" / "training" / "processes.py").exists()
-    here = Path(__file__).resolve().parents[2]
+    program = _NOW if trains_as_now(source) else _BEFORE_PROCESSES
     learners = [
-        Learner("before", source, _NOW if like_this else _BEFORE_PROCESSES, cpu_seconds),
-        Learner("now", here, _NOW, cpu_seconds * share, compiled=True),
+        Learner("before", source, program, cpu_seconds),
+        Learner("now", PRESENT, _NOW, cpu_seconds * share, compiled=True),
     ]
-    running = [_start(learner, data, work / learner.name) for learner in learners]
+    running = {
+        learner.name: _started(learner, data, work / learner.name)
+        for learner in learners
+        if not _done(learner, data, work / learner.name)
+    }
     try:
-        counts = [
-            _finish(learner, process, work / learner.name)
-            for learner, process in zip(learners, running, strict=True)
-        ]
+        while any(process.poll() is None for process in running.values()):
+            if any(process.poll() for process in running.values()):
+                break
+            if on_progress is not None:
+                on_progress(min(_share(work / name) for name in running))
+            time.sleep(1.0)
     finally:
-        for process in running:
-            if process is not None:
-                process.kill()
+        for process in running.values():
+            process.kill()
+    counts = [_counts(learner, data, work / learner.name) for learner in learners]
     return {
         "stage": "learning",
         "against": commit_of(against),
@@ -137,41 +156,58 @@ def bench_learning(
     }
 
 
-def _start(learner: Learner, data: Path, out: Path) -> subprocess.Popen[str] | None:
-    """Begin to train, unless that has been done."""
-    if (out / "counts.json").exists():
-        return None
-    out.mkdir(parents=True, exist_ok=True)
-    given = {
+def _given(learner: Learner, data: Path, out: Path) -> dict[str, Any]:
+    return {
         "data": str(data.resolve()),
         "out": str(out.resolve()),
         "cpu_seconds": learner.cpu_seconds,
-        "grippers": GRIPPERS,
+        "grippers": list(GRIPPERS),
         "compiled": learner.compiled,
     }
-    return subprocess.Popen(
-        [sys.executable, "-c", _MEASURE + learner.program, json.dumps(given)],
-        env={**os.environ, "PYTHONPATH": str(learner.source)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
 
 
-def _finish(
-    learner: Learner, process: subprocess.Popen[str] | None, out: Path
-) -> dict[str, float]:
-    """What it has counted when it is done."""
-    kept = out / "counts.json"
-    if process is not None:
-        told, errors = process.communicate()
-        if process.returncode:
-            raise DataError(
-                f"the trainer {learner.name} in {learner.source} failed: "
-                f"{errors.strip().splitlines()[-1:]}; expected it to train."
-            )
-        kept.write_text(told.splitlines()[-1])
-    return json.loads(kept.read_text())
+def _started(learner: Learner, data: Path, out: Path) -> subprocess.Popen[bytes]:
+    """Begin to train, in a folder without what an earlier run left there."""
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir(parents=True)
+    with (out / LOG).open("wb") as log:
+        return subprocess.Popen(
+            [
+                sys.executable,
+                "-c",
+                _MEASURE + learner.program,
+                json.dumps(_given(learner, data, out)),
+            ],
+            env={**os.environ, "PYTHONPATH": str(learner.source)},
+            stdout=log,
+            stderr=log,
+        )
+
+
+def _done(learner: Learner, data: Path, out: Path) -> dict[str, float] | None:
+    """What it counted, if it is done with this data and this much time."""
+    if not (out / "done.json").exists():
+        return None
+    found = json.loads((out / "done.json").read_text())
+    return found["counts"] if found["given"] == _given(learner, data, out) else None
+
+
+def _share(out: Path) -> float:
+    """How much of its time it has had."""
+    file = out / "share"
+    # It may be read while it is written.
+    return float(file.read_text() or 0.0) if file.exists() else 0.0
+
+
+def _counts(learner: Learner, data: Path, out: Path) -> dict[str, float]:
+    counts = _done(learner, data, out)
+    if counts is None:
+        last = (out / LOG).read_text(errors="replace").strip().splitlines()[-1:]
+        raise DataError(
+            f"the trainer {learner.name} in {learner.source} failed or was stopped: {last}; "
+            f"expected it to train. Look at {out / LOG}."
+        )
+    return counts
 
 
 def _losses(model: Path, validation: Path) -> dict[str, Any]:

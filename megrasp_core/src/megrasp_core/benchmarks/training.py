@@ -18,7 +18,7 @@ import numpy as np
 from megrasp_core.errors import DataError
 from megrasp_core.machine import processor
 
-from .checkout import commit_of, package_of
+from .checkout import PRESENT, commit_of, package_of, trains_as_now
 
 GRIPPERS_A_SCENE, POSES, LABELLED = 4, 192, 24
 """The batch: one scene, so many of its grippers, noisy and labelled poses of each."""
@@ -119,13 +119,11 @@ def bench_training(
         InvalidRequestError: `against` is no checkout.
     """
     source = package_of(against)
-    here = Path(__file__).resolve().parents[2]
-    like_this = (source / "megrasp_core" / "training" / "processes.py").exists()
     contestants = [
-        Contestant("before", source, _NOW if like_this else _BEFORE_PROCESSES),
-        Contestant("torch, confidence in every step", here, _NOW, confidence_every=1),
-        Contestant("torch", here, _NOW),
-        Contestant("compiled", here, _NOW, compiled=True),
+        Contestant("before", source, _NOW if trains_as_now(source) else _BEFORE_PROCESSES),
+        Contestant("torch, confidence in every step", PRESENT, _NOW, confidence_every=1),
+        Contestant("torch", PRESENT, _NOW),
+        Contestant("compiled", PRESENT, _NOW, compiled=True),
     ]
     scenes = _rich_scenes(data)
     found: dict[str, list[float]] = {contestant.name: [] for contestant in contestants}

@@ -66,8 +66,7 @@ def bench(
         page: markdown page whose lines between <!-- rates --> and <!-- /rates --> (data),
             <!-- bins --> and <!-- /bins -->, or <!-- startup --> and <!-- /startup --> become
             tables of the result.
-        data: data set of scenes, for training labelled for four grippers each (training,
-            learning).
+        data: data set of scenes (training, where each is labelled for four grippers; learning).
         against: checkout to compare with (training, learning, startup).
         validation: data set of scenes with other objects (learning).
         minutes: of CPU time of the older checkout (learning).
@@ -179,9 +178,11 @@ def _learning(
         )
     work = out.with_name(f"{out.stem}_models")
     say(f"trains for {minutes:g} and {minutes * share:g} minutes of CPU time, models in {work}")
-    content = bench_learning(
-        data, validation, against, work, cpu_seconds=60 * minutes, share=share
-    )
+    with progress_bar(100, "learning") as bar:
+        content = bench_learning(
+            data, validation, against, work, cpu_seconds=60 * minutes, share=share,
+            on_progress=lambda done: bar.update(int(100 * done) - bar.n),
+        )  # fmt: skip
     emit(content, out)
     return 0
 

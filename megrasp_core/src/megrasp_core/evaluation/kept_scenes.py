@@ -85,18 +85,16 @@ class KeptScenes:
     def add(self, number: int, outcome: SceneOutcome) -> None:
         """Keep a scene."""
         self.outcomes[number] = outcome
+        lines = [{"scene": number, "outcome": outcome.to_json()}]
         if not self.path.exists():
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._append(self._run)
-        self._append({"scene": number, "outcome": outcome.to_json()})
+            lines.insert(0, self._run)
+        with self.path.open("a") as file:
+            file.write("".join(json.dumps(line) + "\n" for line in lines))
 
     def remove(self) -> None:
         """Delete the file: the result is written."""
         self.path.unlink(missing_ok=True)
-
-    def _append(self, content: dict[str, Any]) -> None:
-        with self.path.open("a") as file:
-            file.write(json.dumps(content) + "\n")
 
     def _read(self) -> None:
         lines = self.path.read_text().splitlines(keepends=True)
