@@ -28,6 +28,7 @@ from .preparation import (
 from .procedural import generate_objects, procedural_object
 from .seeds import ObjectSeeds
 from .solids import Solid, box, mass_properties, stack, volume_of
+from .stretched import source_of, stretched, stretched_name
 
 __all__ = [
     "ConvexPiece",
@@ -66,7 +67,10 @@ __all__ = [
     "procedural_object",
     "read_mesh",
     "save_object",
+    "source_of",
     "stack",
+    "stretched",
+    "stretched_name",
     "training_objects",
     "validation_objects",
     "volume_of",

@@ -1,7 +1,8 @@
-"""Objects by name, so that a few bytes in a record bring a model back: real scans and procedural
-ones.
+"""Objects by name, so that a few bytes in a record bring a model back: real scans, stretched
+copies of them and procedural ones.
 
 asset/train/ycb/021_bleach_cleanser    folder below MEGRASP_ASSETS/objects
+stretched/000017/asset/train/ycb/...   `stretched(object, 17)`
 procedural/000017                      `procedural_object(17)`
 obstacle/000017                        `procedural_object(17, obstacle=True)`
 """
@@ -24,6 +25,7 @@ from .folder import load_object
 from .model import ObjectModel
 from .procedural import procedural_object
 from .seeds import ObjectSeeds
+from .stretched import stretched, stretched_from, stretched_name
 
 _ASSET = "asset/"
 _PROCEDURAL = "procedural/"
@@ -85,12 +87,15 @@ class ObjectSet:
         match = re.fullmatch(r"(procedural|obstacle)/(\d+)", name)
         if match is not None:
             return procedural_object(int(match[2]), obstacle=match[1] == "obstacle")
+        copy = stretched_from(name)
+        if copy is not None:
+            return stretched(self[copy[1]], copy[0])
         folder = self.folder(name)
         if folder is not None:
             return load_object(folder, name)
         raise ObjectError(
-            f"unknown object {name!r}; expected asset/<split>/<set>/<name>, procedural/<number> "
-            "or obstacle/<number>."
+            f"unknown object {name!r}; expected asset/<split>/<set>/<name>, procedural/<number>, "
+            "obstacle/<number> or stretched/<number>/<name of another>."
         )
 
 
@@ -147,11 +152,27 @@ def asset_names(split: str) -> list[str]:
     )
 
 
-def training_objects(procedural: int = 60, *, assets: bool = True) -> ObjectSet:
-    """Train scans (where MEGRASP_ASSETS is set; the validation tenth is not among them) and
-    procedural objects.
+def training_objects(
+    procedural: int = 60, *, assets: bool = True, copies: int = 0, start: int = 0
+) -> ObjectSet:
+    """Train scans (where MEGRASP_ASSETS is set; the validation tenth is not among them),
+    stretched copies of them and procedural objects.
+
+    Args:
+        procedural: so many procedural objects.
+        assets: scans are among them.
+        copies: stretched ones of every scan.
+        start: number of the first procedural object and of the first copy.
     """
-    return ObjectSet([*(asset_names("train") if assets else []), *procedural_names(procedural)])
+    scans = asset_names("train") if assets else []
+    numbers = range(start * len(scans), (start + copies) * len(scans))
+    return ObjectSet(
+        [
+            *scans,
+            *(stretched_name(scans[number % len(scans)], number) for number in numbers),
+            *procedural_names(procedural, start),
+        ]
+    )
 
 
 def validation_objects(procedural: int = 60, *, assets: bool = True) -> ObjectSet:

@@ -17,6 +17,7 @@ from torch import Tensor
 from megrasp_core.errors import DataError
 from megrasp_core.lie import matrix_from_pose7
 from megrasp_core.network import ModelConfig, SceneGraph, build_graph, graph_sizes
+from megrasp_core.objects import source_of
 from megrasp_core.pointcloud import SceneNodes, SceneSettings, SurfaceCloud, nodes_at
 from megrasp_core.storage import GripperLabels, TrainingScene, open_scenes
 
@@ -138,8 +139,10 @@ def _in_own_pages(
 
 
 def is_held_out(name: str) -> bool:
-    """Whether an object belongs to the tenth whose grasps validate, by a hash of its name."""
-    digest = hashlib.sha256(f"held out {name}".encode()).digest()
+    """Whether an object belongs to the tenth whose grasps validate, by a hash of its name; a
+    stretched copy goes with what it was made from.
+    """
+    digest = hashlib.sha256(f"held out {source_of(name)}".encode()).digest()
     return int.from_bytes(digest[:8], "big") % 10 == 0
 
 

@@ -19,18 +19,19 @@ def rollouts(
     drawn: int = 100,
     judged: int = 10,
     procedural: int = 60,
+    copies: int = 0,
     threads: int | None = None,
     seed: int = 7000,
 ) -> int:
     """Bins or tables that the model clears itself; its own grasps at every stage, labelled.
 
     Labelled in simulation. Filled with the training objects (scans where MEGRASP_ASSETS is set,
-    and procedural ones).
-    Resumable: run it again to go on.
+    and procedural ones). Resumable: run it again to go on.
 
     Try:
       megrasp data rollouts --model runs/small/model --out data/rollouts
       megrasp data rollouts --gripper allegro_hand --tables --bins 10 --out data/rollouts_allegro
+      megrasp data rollouts --copies 3 --procedural 120 --bins 60 --out data/stretched
       megrasp train --data data/rollouts --heads-of runs/small/model --out runs/heads
 
     Args:
@@ -42,6 +43,9 @@ def rollouts(
         drawn: poses drawn per synthesis.
         judged: best ranked grasps tried at every stage.
         procedural: procedural objects among those that bins are filled from.
+        copies: so many copies of every scan are among them, stretched along their axes and every
+            other one mirrored, so that a confidence learns from more shapes than were scanned.
+            Other copies, and other procedural objects, for another first seed.
         threads: torch threads.
         seed: of the first bin; the others follow.
     """
@@ -67,7 +71,7 @@ def rollouts(
         done = label_rollouts(
             out,
             GraspSynthesizer.load(model, gripper, threads=threads),
-            training_objects(procedural),
+            training_objects(procedural, copies=copies, start=seed if copies else 0),
             range(seed, seed + bins),
             RolloutSettings(judged=judged, drawn=drawn, scenes=ON_TABLES if tables else IN_BINS),
             on_scene=tell,
