@@ -45,6 +45,7 @@ def evaluation(
     engine: Literal["pybullet", "mujoco"] = "pybullet",
     depth_noise: Literal["gaussian", "dexnet", "none"] = "gaussian",
     picture: Path | None = None,
+    failures: Path | None = None,
     model: str | None = None,
     baseline: Flag = False,
     ceiling: Flag = False,
@@ -79,6 +80,7 @@ def evaluation(
       megrasp eval --gripper franka_hand --protocol packed --scenes 100 --out packed.json
       megrasp eval --gripper franka_hand --protocol pile --engine mujoco --out pile.json
       megrasp eval --gripper robotiq_3f --execute-with robotiq_3f_cad --judged 20 --out t.json
+      megrasp eval --gripper robotiq_2f85 --samples 0 --failures failures --out seen.json
       megrasp eval --gripper robotiq_2f85 --executor ray --workers 32 --out many.json
 
     Args:
@@ -107,6 +109,8 @@ def evaluation(
         depth_noise: of packed and pile: 0.8 mm a point as in Edge-Grasp's simulator, that of
             Dex-Net 2.0 as in GIGA, or none.
         picture: PNG of the first round of packed or pile, attempt by attempt.
+        failures: folder for a picture of every executed grasp that failed, and one sheet of all
+            for each cause. Not for packed and pile.
         model: id or folder.
         baseline: the analytic antipodal baseline instead of the model.
         ceiling: a planner that knows the true geometry and tries grasps before it names one: how
@@ -134,10 +138,12 @@ def evaluation(
                 "Leave one of them out."
             )
     in_rounds = protocol == "packed" or protocol == "pile"
-    if in_rounds and (ceiling or crop_floor or views != 10 or judged or count_all or spread):
+    if in_rounds and (
+        ceiling or crop_floor or views != 10 or judged or count_all or spread or failures
+    ):
         raise InvalidRequestError(
-            f"--ceiling, --crop-floor, --views, --judged, --count-all or workers were given "
-            f"with {protocol}; expected none of them: its rounds have one side view of the "
+            f"--ceiling, --crop-floor, --views, --judged, --count-all, --failures or workers were "
+            f"given with {protocol}; expected none of them: its rounds have one side view of the "
             "whole table, count what was executed and run in one process. Leave them out."
         )
     if not in_rounds and (
@@ -165,7 +171,7 @@ def evaluation(
         judged=judged, possible_only=protocol == "binpick" and not count_all,
         friction=friction, views=views, crop_floor=crop_floor, seed=seed,
     )  # fmt: skip
-    content, kept = _rates(settings, executing, planner, objects, loaded, spread, out)
+    content, kept = _rates(settings, executing, planner, objects, loaded, spread, out, failures)
     if without:
         content["config"]["without"] = list(without)
     emit(content, out)
@@ -216,10 +222,12 @@ def _rates(
     planned_for: Gripper,
     spread: ExecutorConfig | None,
     out: Path,
+    failures: Path | None,
 ) -> tuple[dict[str, Any], KeptScenes]:
     """Run a protocol of one's own simulation, tell the rates, and return the content of the result
     file and the scenes that were kept meanwhile.
     """
+    from megrasp_core.evaluation.failure_pictures import FailurePictures
     from megrasp_core.evaluation.kept_scenes import KeptScenes
     from megrasp_core.evaluation.object_pool import graspable_objects, load_pool
     from megrasp_core.evaluation.report import evaluate
@@ -233,6 +241,9 @@ def _rates(
     kept = KeptScenes.beside(out, settings, executing, planner, pool, usable, planned_for)
     if kept.outcomes:
         say(f"{len(kept.outcomes)} scenes are done already ({kept.path})")
+    pictures = None if failures is None else FailurePictures(failures, executing)
+    if pictures is not None and not kept.outcomes:
+        pictures.require_new()
     place = "procedural" if objects is None else "/".join(objects.resolve().parts[-2:])
     with progress_bar(settings.scenes, settings.protocol) as bar:
 
@@ -252,12 +263,16 @@ def _rates(
         try:
             result = evaluate(
                 settings, executing, planner, pool, usable, objects=place,
-                planned_for=planned_for.name, executor=spread, kept=kept, on_scene=tell,
+                planned_for=planned_for.name, executor=spread, kept=kept, pictures=pictures,
+                on_scene=tell,
             )  # fmt: skip
         except KeyboardInterrupt:
             if kept.outcomes:
                 say(f"{len(kept.outcomes)} scenes are kept; the same command goes on with them")
             raise
+    if pictures is not None:
+        told = ", ".join(path.name for path in pictures.sheets())
+        say(f"pictures of what failed in {failures}: {told or 'none'}")
     content = result.to_json()
     for key in ("first", "first_all", "filtered", "unfiltered", "judged"):
         if content.get(key, {}).get("trials"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -27,6 +27,7 @@ from megrasp_core.simulation import (
 )
 from megrasp_core.synthesizer import Synthesis
 
+from .failure_pictures import FailurePictures
 from .outcome import JudgedGrasp, SceneOutcome
 from .planners import Planner
 from .search import GraspSearch
@@ -129,8 +130,8 @@ def run_scene(
     pool: Sequence[ObjectModel],
     graspable: Sequence[int],
     index: int,
-    on_stage: Callable[[Synthesis, Cloud, SceneOutcome], None] | None = None,
     search: GraspSearch | None = None,
+    pictures: FailurePictures | None = None,
 ) -> SceneOutcome:
     """Run one scene of a protocol; on one machine the same settings and index give the same
     scene.
@@ -142,8 +143,8 @@ def run_scene(
         pool: objects.
         graspable: indices of those that the gripper can hold.
         index: number of the scene.
-        on_stage: called after every synthesis, for pictures.
         search: of `possible_only`; by default one with usual effort.
+        pictures: of the executed grasps that fail and count.
     """
     if settings.possible_only and search is None:
         search = GraspSearch(gripper)
@@ -187,8 +188,6 @@ def run_scene(
         )
         outcome.evaluations = result.evaluations
         outcome.answered += bool(result.grasps)
-        if on_stage is not None:
-            on_stage(result, cloud, outcome)
         outcome.targets.append(_target(world, models, result))
         if settings.judged:
             outcome.judged.append(
@@ -197,13 +196,17 @@ def run_scene(
                     for grasp in result.grasps[: settings.judged]
                 ]
             )
+        before = world.save()
         if binpick:
-            before = world.save()
             _pick(cycle, result, outcome)
             if search is not None and outcome.counted is None:
                 _count(cycle, result, outcome, search, before, goals, search_rng)
+        else:
+            _try_first(cycle, result, outcome)
+        if pictures is not None:
+            _show_failure(pictures, cycle, result, outcome, before, index)
+        if binpick:
             continue
-        _try_first(cycle, result, outcome)
         if settings.protocol == "single":
             break
         cycle.clear([int(rng.choice(cycle.left))])
@@ -295,6 +298,31 @@ def _try_first(cycle: PickCycle, result: Synthesis, outcome: SceneOutcome) -> No
         return
     verdict = cycle.verdict(result.grasps[0], approach=False)
     outcome.first.append((bool(verdict.success), verdict.reason.value))
+
+
+def _show_failure(
+    pictures: FailurePictures,
+    cycle: PickCycle,
+    result: Synthesis,
+    outcome: SceneOutcome,
+    before: WorldState,
+    index: int,
+) -> None:
+    """Take a picture of the last attempt, if it counts and failed; the scene stays as it is."""
+    success, reason = outcome.first[-1]
+    if success or not result.grasps or outcome.counted is not None:
+        return
+    after = cycle.world.save()
+    cycle.world.restore(before)
+    pictures.take(
+        cycle,
+        result.grasps[0],
+        scene=index,
+        attempt=len(outcome.first),
+        reason=reason,
+        target=outcome.targets[-1],
+    )
+    cycle.world.restore(after)
 
 
 def _judge_samples(

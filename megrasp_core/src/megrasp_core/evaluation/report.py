@@ -20,6 +20,7 @@ from megrasp_core.jobs import ExecutorConfig, Progress, run_units
 from megrasp_core.machine import processor
 from megrasp_core.objects import ObjectModel
 
+from .failure_pictures import FailurePictures
 from .kept_scenes import KeptScenes
 from .outcome import SceneOutcome
 from .planners import Planner
@@ -160,6 +161,7 @@ def evaluate(
     planned_for: str | None = None,
     executor: ExecutorConfig | None = None,
     kept: KeptScenes | None = None,
+    pictures: FailurePictures | None = None,
     on_scene: Callable[[int, EvaluationResult], None] | None = None,
 ) -> EvaluationResult:
     """Run all scenes of a protocol; where and by how many workers changes nothing but the time
@@ -175,6 +177,7 @@ def evaluate(
         planned_for: name of the gripper that the planner plans for, where it is another.
         executor: how the scenes are spread; by default one after another, in this process.
         kept: scenes of the same run that are done, and where further ones are kept.
+        pictures: of the executed grasps that fail and count.
         on_scene: called with the number of scenes done and the result so far.
 
     Raises:
@@ -182,7 +185,9 @@ def evaluate(
         KeyboardInterrupt: the run was stopped; rates of some scenes are not those of all.
     """
     search = GraspSearch(gripper) if settings.possible_only else None
-    run = functools.partial(run_scene, settings, gripper, planner, pool, graspable, search=search)
+    run = functools.partial(
+        run_scene, settings, gripper, planner, pool, graspable, search=search, pictures=pictures
+    )
 
     def result(outcomes: Mapping[int, SceneOutcome]) -> EvaluationResult:
         return EvaluationResult(
