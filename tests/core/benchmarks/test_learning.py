@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
@@ -33,9 +34,15 @@ def test_both_train_side_by_side_and_are_validated_alike(tmp_path: Path) -> None
     made = [file.stat().st_mtime_ns for file in done]
     assert run() == first
     assert [file.stat().st_mtime_ns for file in done] == made
-    # With other time what is there counts no more.
+    # With other code, or other time, what is there counts no more.
+    left = json.loads(done[1].read_text())
+    done[1].write_text(json.dumps({**left, "given": {**left["given"], "code": "of yesterday"}}))
+    made[1] = done[1].stat().st_mtime_ns
+    run()
+    again = done[1].stat().st_mtime_ns
     bench_learning(data, other, ROOT, tmp_path / "work", cpu_seconds=1e-3, share=0.25)
-    assert done[0].stat().st_mtime_ns == made[0] < done[1].stat().st_mtime_ns
+    assert made[1] < again < done[1].stat().st_mtime_ns
+    assert done[0].stat().st_mtime_ns == made[0]
 
 
 def test_errors_say_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -31,7 +31,9 @@ def test_every_failure_that_counts_has_a_picture(tmp_path: Path, protocol: str) 
         possible_only=protocol == "binpick",
         seed=5,
     )
-    search = GraspSearch(gripper, SearchSettings(candidates=100)) if protocol == "binpick" else None
+    search = (
+        GraspSearch(gripper, SearchSettings(candidates=100)) if protocol == "binpick" else None
+    )
 
     def run(pictures: FailurePictures | None):
         planner = AntipodalPlanner(gripper)

@@ -178,6 +178,9 @@ def test_the_rate_follows_what_was_seen():
     assert factors == pytest.approx([0.5, 1.0, 0.5, 0.0])
     busy = Counters(poses=300, seconds=1e6, **late)
     assert rate_factor(busy, config) == factors[1], "a busy machine trains the same model"
+    short = dataclasses.replace(config, warmup_steps=500)
+    rising = [rate_factor(Counters(steps=4, poses=poses), short) for poses in (0, 25, 50)]
+    assert rising == pytest.approx([0.01, 0.5, 1.0]), "a short plan is not warmed up for long"
 
 
 @pytest.mark.slow

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from megrasp_core.errors import DataError
+from megrasp_core.jobs import code_hash
 from megrasp_core.machine import processor
 
 from .checkout import PRESENT, commit_of, package_of, trains_as_now
@@ -109,8 +110,8 @@ def bench_learning(
         data: one data set to train with.
         validation: data set of other objects.
         against: checkout to compare with.
-        work: folder for both models; one that is finished there with the same data and time is not
-            trained again, any other is replaced.
+        work: folder for both models; one that is finished there with the same code, data and time
+            is not trained again, any other is replaced.
         cpu_seconds: of the older trainer.
         share: of them, for the present one.
         on_progress: called every second with the share that is done of the slower one.
@@ -163,6 +164,7 @@ def _given(learner: Learner, data: Path, out: Path) -> dict[str, Any]:
         "cpu_seconds": learner.cpu_seconds,
         "grippers": list(GRIPPERS),
         "compiled": learner.compiled,
+        "code": code_hash(learner.source / "megrasp_core"),
     }
 
 

@@ -5,7 +5,6 @@ hours, and one that was stopped goes on.
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 
 from megrasp_core.errors import InvalidRequestError
 from megrasp_core.grippers import Gripper
-from megrasp_core.jobs import versions
+from megrasp_core.jobs import code_hash, versions
 from megrasp_core.objects import ObjectModel
 
 from .outcome import SceneOutcome
@@ -41,7 +40,8 @@ class KeptScenes:
         """
         self.path = Path(path)
         self.outcomes: dict[int, SceneOutcome] = {}
-        self._run = json.loads(json.dumps({**run, "versions": versions(), "code": _code()}))
+        made_with = {"versions": versions(), "code": code_hash(PACKAGE)}
+        self._run = json.loads(json.dumps({**run, **made_with}))
         if self.path.exists():
             self._read()
 
@@ -128,12 +128,3 @@ def _parsed(line: str) -> Any:
         return json.loads(line)
     except ValueError:
         return None
-
-
-def _code() -> str:
-    """A hash of the package's source: other code, other outcomes."""
-    digest = hashlib.sha256()
-    for path in sorted(PACKAGE.rglob("*.py")):
-        digest.update(f"{path.relative_to(PACKAGE)}\n".encode())
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]

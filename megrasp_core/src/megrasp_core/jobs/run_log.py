@@ -5,6 +5,7 @@ It is what says with which seed, effort and versions a library was made, and how
 
 from __future__ import annotations
 
+import hashlib
 import importlib.metadata
 import json
 from collections.abc import Iterator
@@ -22,6 +23,15 @@ NAME = "runs.jsonl"
 def versions() -> dict[str, str]:
     """Versions of what decides on the data."""
     return {name: importlib.metadata.version(name) for name in ("megrasp-core", "mujoco", "numpy")}
+
+
+def code_hash(package: Path) -> str:
+    """16 hex digits of all Python files below a folder: other code, other results."""
+    digest = hashlib.sha256()
+    for path in sorted(package.rglob("*.py")):
+        digest.update(f"{path.relative_to(package)}\n".encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def log_run(

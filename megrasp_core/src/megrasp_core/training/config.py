@@ -34,6 +34,9 @@ GRIPPERS = (
 )
 """The grippers that models are trained for; the others are never seen in training."""
 
+WARMUP_SHARE = 0.05
+"""The rate rises for this share of the plan at most: short plans have few steps."""
+
 
 @dataclasses.dataclass(frozen=True)
 class TrainConfig:
@@ -52,9 +55,9 @@ class TrainConfig:
     total_poses: int = 3_000_000
     """Noisy poses of the whole plan, however many stretches it takes; in training of the heads,
     labelled poses. The learning rate follows this count."""
-    scenes_per_step: int = 2
+    scenes_per_step: int = 1
     """Scenes whose gradients are averaged in a step."""
-    poses_per_scene: int = 256
+    poses_per_scene: int = 160
     """Noisy poses per scene and step, shared evenly by its grippers."""
     grippers_per_scene: int = 4
     """At most so many grippers of a scene are taken in a step."""
@@ -63,7 +66,7 @@ class TrainConfig:
     weight_decay: float = 1e-3
     """Of AdamW."""
     warmup_steps: int = 500
-    """Steps in which the learning rate rises from 0."""
+    """Steps in which the learning rate rises from 0; at most a twentieth of the plan."""
     constant_share: float = 0.4
     """Share of the plan after which the learning rate falls, linearly, to 0."""
     ema_decay: float = 0.9995
@@ -220,6 +223,7 @@ def rate_factor(counters: Counters, config: TrainConfig) -> float:
     """Learning rate as a share of the highest: warm-up, constant, linear to 0; by what was seen
     and not by the clock, so that a busy machine trains the same model.
     """
-    warm = min(1.0, (counters.steps + 1) / max(1, config.warmup_steps))
+    steps = (counters.steps + 1) / max(1, config.warmup_steps)
+    warm = min(1.0, max(steps, counters.progress(config) / WARMUP_SHARE))
     left = (1.0 - counters.progress(config)) / (1.0 - config.constant_share)
     return warm * min(1.0, left)
