@@ -51,6 +51,8 @@ def rollouts(
     """
     if bins < 1:
         raise InvalidRequestError(f"--bins {bins} was given; expected at least 1.")
+    if copies < 0:
+        raise InvalidRequestError(f"--copies {copies} was given; expected at least 0.")
     from megrasp_core.objects import training_objects
     from megrasp_core.self_labelling.rollouts import (
         IN_BINS,
