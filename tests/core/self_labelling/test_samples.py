@@ -186,6 +186,19 @@ def test_models_are_compared_by_samples_in_the_same_scenes(record, tmp_path, cap
             causes = rates["colliding_at_pre_grasp"]
             assert causes["over_10_mm"] <= causes["over_5_mm"] <= causes["count"] <= 6
     assert page.read_text().count("\n| ") == 8
+    assert main([*arguments, "--sampler", "steps=1 restarts=0", "restarts=0"]) == 0
+    rows = json.loads(out.read_text())["rows"]
+    told = [
+        (row["model"], row["sampled_with"], row["robotiq_2f85"]["evaluations"]) for row in rows
+    ]
+    assert told == [
+        (name, text, count)
+        for name in ("one", "two")
+        for text, count in (("steps=1 restarts=0", 1), ("restarts=0", 10))
+    ]
+    assert "| two, restarts=0: 10 evaluations | " in page.read_text()
+    assert main([*arguments, "--sampler", "step=1"]) == 2
+    assert "names no field of SamplerSettings" in capsys.readouterr().err
     assert main([*arguments[:-2], "--grasps", "0"]) == 2
     assert "expected at least one each" in capsys.readouterr().err
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from megrasp_core.diffusion import NoiseSchedule
+from megrasp_core.diffusion import NoiseSchedule, SamplerSettings
 from megrasp_core.errors import DataError
 from megrasp_core.grippers import load_gripper
 from megrasp_core.machine import processor
@@ -38,6 +38,7 @@ def compare_models(
     grippers: Sequence[str],
     *,
     grasps: int = 200,
+    samplers: Mapping[str, SamplerSettings] | None = None,
     seed: int = 1,
     on_progress: Callable[[int, int], object] | None = None,
 ) -> dict[str, Any]:
@@ -48,7 +49,8 @@ def compare_models(
         data: stored scenes, of objects that no model was trained with.
         grippers: names; hands are sampled on tables alone, since in most bins they find no free
             grasp.
-        grasps: per model and gripper, spread evenly over the scenes.
+        grasps: per model, sampler and gripper, spread evenly over the scenes.
+        samplers: that every model is tried with, by what the rows call them; by default its own.
         seed: of the samples.
         on_progress: called with rows done and in all.
 
@@ -70,19 +72,27 @@ def compare_models(
     ]
     # The same levels of noise for all, or those that know lower ones have the harder task.
     lowest = max(model.config.s_min for model in models)
-    rows, done = [], 0
+    tried = dict(samplers) if samplers else {"": None}
+    rows: list[dict[str, Any]] = []
+    total, done = len(models) * len(tried) * len(grippers), 0
     for model in models:
-        row: dict[str, Any] = {
+        facts = {
             "model": model.model_id,
             **_training_facts(model),
             "validation": _losses(model, entries, lowest),
         }
-        for name in grippers:
-            row[name] = sample_rates(model, records, name, objects, grasps=grasps, seed=seed)
-            done += 1
-            if on_progress is not None:
-                on_progress(done, len(models) * len(grippers))
-        rows.append(row)
+        for called, sampler in tried.items():
+            row = {**facts, "sampler": dataclasses.asdict(sampler or model.info.sampler)}
+            if called:
+                row["sampled_with"] = called
+            for name in grippers:
+                row[name] = sample_rates(
+                    model, records, name, objects, grasps=grasps, sampler=sampler, seed=seed
+                )
+                done += 1
+                if on_progress is not None:
+                    on_progress(done, total)
+            rows.append(row)
     return {
         "scenes": len(records),
         "grasps": grasps,
@@ -101,8 +111,9 @@ def sample_rates(
     *,
     grasps: int,
     seed: int,
+    sampler: SamplerSettings | None = None,
 ) -> dict[str, Any]:
-    """Rates of one model and gripper; see `compare_models`."""
+    """Rates of one model, sampler (by default the model's) and gripper; see `compare_models`."""
     gripper = load_gripper(gripper_name)
     if gripper.description.kind == "hand":
         records = [record for record in records if record.bin is None]
@@ -112,7 +123,9 @@ def sample_rates(
             "`megrasp data scenes --bins 0`."
         )
     each = -(-grasps // len(records))
-    settings = SampleSettings(samples=each, judged=each, colliding=each, seed=seed)
+    settings = SampleSettings(
+        samples=each, judged=each, colliding=each, sampler=sampler, seed=seed
+    )
     held, hit, tried = [], [], []
     causes = CollisionCauses()
     for record in records:
@@ -180,7 +193,7 @@ def comparison_table(content: dict[str, Any]) -> str:
     for row in content["rows"]:
         bands = row["validation"]["per_band"]
         cells = [
-            row["model"],
+            _called(row),
             f"{row['parameters'] / 1e6:.2f} M",
             "-" if row["poses"] is None else f"{row['poses'] / 1e6:.2f} M",
             "-" if row["cpu_seconds"] is None else f"{row['cpu_seconds']:,.0f}",
@@ -195,7 +208,7 @@ def comparison_table(content: dict[str, Any]) -> str:
         found = [row[name]["colliding_at_pre_grasp"] for name in grippers]
         causes.append(
             [
-                row["model"],
+                _called(row),
                 *(
                     f"{one['over_5_mm']} / {one['over_10_mm']} / {one['out_of_sight']}"
                     f" of {one['count']}"
@@ -207,6 +220,13 @@ def comparison_table(content: dict[str, Any]) -> str:
     return (
         _table(head, rates) + "\nSamples that collide at the pre-grasp:\n\n" + _table(why, causes)
     )
+
+
+def _called(row: dict[str, Any]) -> str:
+    if "sampled_with" not in row:
+        return row["model"]
+    evaluations = SamplerSettings(**row["sampler"]).evaluations
+    return f"{row['model']}, {row['sampled_with']}: {evaluations} evaluations"
 
 
 def _table(head: list[str], rows: list[list[str]]) -> str:
