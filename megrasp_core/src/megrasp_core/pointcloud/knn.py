@@ -12,17 +12,24 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
 
 
-def neighbours(queries: FloatArray, points: FloatArray, k: int) -> tuple[FloatArray, IndexArray]:
+_ROWS = 4096
+"""Patches whose normals are computed at a time: so many stay in the processor's cache."""
+
+
+def neighbours(
+    queries: FloatArray, points: FloatArray, k: int, *, threads: int = 1
+) -> tuple[FloatArray, IndexArray]:
     """Return (distance (Q, k), index (Q, k)) of the points (N, 3) nearest to queries (Q, 3).
 
     Nearest first; a query that is itself one of the points finds itself. With fewer than k points
-    k shrinks to N. Raises CloudError without points.
+    k shrinks to N. The queries are shared by `threads`, which changes no result. Raises CloudError
+    without points.
     """
     if not len(points):
         raise CloudError("no points to search for neighbours; expected at least one.")
     k = max(1, min(k, len(points)))
     tree = KDTree(points, leafsize=16, balanced_tree=False, compact_nodes=False)
-    distance, index = tree.query(queries, k=k, workers=1)
+    distance, index = tree.query(queries, k=k, workers=threads)
     return distance.reshape(len(queries), k), index.reshape(len(queries), k).astype(np.intp)
 
 
@@ -53,6 +60,17 @@ def local_normals(
 
     weights: (N,) weight of each point, e.g. 0 for outliers.
     """
+    parts = [
+        _patch_normals(points, index[start : start + _ROWS], weights)
+        for start in range(0, max(1, len(index)), _ROWS)
+    ]
+    return np.concatenate(parts)
+
+
+def _patch_normals(
+    points: FloatArray, index: IndexArray, weights: FloatArray | None
+) -> FloatArray:
+    """`local_normals` of some patches."""
     share = np.full(index.shape, 1.0 / index.shape[1])
     if weights is not None:
         share = weights[index]

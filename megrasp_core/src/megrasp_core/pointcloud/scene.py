@@ -131,13 +131,14 @@ def surface_cloud(
     gravity: ArrayLike | None = None,
     region: OrientedBox | None = None,
     settings: SceneSettings | None = None,
+    threads: int = 1,
 ) -> SurfaceCloud:
     """Crop, average into voxels, drop outliers, estimate normals, find the support plane.
 
     sensor: (3,) or (N, 3) where each of the cloud's points was seen from; by default the cloud's
     viewpoint. gravity: vector (3,) that points down, in the cloud's frame, or None when unknown.
     region: only points in this box count, grown by the settings' margin to the sides and down, and
-    by their headroom up; without a region all.
+    by their headroom up; without a region all. threads: that search for neighbours.
 
     Raises EmptyRegionError when no point is left in the region, CloudError when the cloud holds no
     finite point or nobody says where the sensor was.
@@ -165,7 +166,7 @@ def surface_cloud(
     groups = VoxelGroups(crop, settings.voxel)
     points = groups.mean(crop)
     seen_from = groups.mean(origin[inside]) if origin.ndim == 2 else origin
-    normals, keep = _normals(points, seen_from, settings)
+    normals, keep = _normals(points, seen_from, settings, threads)
     points, normals = points[keep], normals[keep]
     plane = support_plane(
         points,
@@ -283,10 +284,10 @@ def _farthest(points: FloatArray, count: int, rng: np.random.Generator | None) -
 
 
 def _normals(
-    points: FloatArray, seen_from: FloatArray, settings: SceneSettings
+    points: FloatArray, seen_from: FloatArray, settings: SceneSettings, threads: int
 ) -> tuple[FloatArray, BoolArray]:
     """Return normals (M, 3) and the mask (M,) of points to keep, from one neighbour search."""
-    distance, index = neighbours(points, points, settings.normal_neighbours)
+    distance, index = neighbours(points, points, settings.normal_neighbours, threads=threads)
     keep = np.ones(len(points), bool)
     if settings.outlier_ratio > 0:
         keep = outlier_mask(distance[:, : min(9, distance.shape[1])], settings.outlier_ratio)

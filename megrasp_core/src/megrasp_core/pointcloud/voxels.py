@@ -38,7 +38,7 @@ class VoxelGroups:
         # Rounded, not floored: a table at z = 0, where most scenes have it, lies inside a layer of
         # cells and not on the border of two, where noise would give every column of the table two
         # points.
-        cells = np.floor(points * (1.0 / size) + 0.5)
+        cells = np.floor(np.ascontiguousarray(points.T) * (1.0 / size) + 0.5)
         self.size = size
         self.group, self.members = _number_cells(cells)
 
@@ -65,24 +65,25 @@ def voxel_means(points: FloatArray, size: float) -> FloatArray:
 
 
 def _number_cells(cells: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return for whole-numbered cells (N, 3) the dense number of each (N,) and the counts."""
-    if not len(cells):
+    """Return for whole-numbered cells (3, N), a row an axis, the dense number of each (N,) and the
+    counts.
+    """
+    if not cells.size:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
-    low = cells.min(axis=0)
-    extent = cells.max(axis=0) - low + 1
-    if extent.prod() <= _DENSE_CELLS:
-        nx, ny, nz = (int(n) for n in extent)
-        x, y, z = (cells - low).astype(np.intp).T
-        key = (x * ny + y) * nz + z
-        counts = np.bincount(key, minlength=nx * ny * nz)
+    low = [row.min() for row in cells]
+    nx, ny, nz = (row.max() - least + 1 for row, least in zip(cells, low))
+    if nx * ny * nz <= _DENSE_CELLS:
+        x, y, z = (row - least for row, least in zip(cells, low))
+        key = ((x * ny + y) * nz + z).astype(np.intp)
+        counts = np.bincount(key, minlength=int(nx * ny * nz))
         occupied = np.flatnonzero(counts)
         number = np.empty(len(counts), np.intp)
         number[occupied] = np.arange(len(occupied))
         return number[key], counts[occupied]
     # A stray far point makes the grid huge: number axis by axis, so that no key can overflow.
-    group = np.unique(cells[:, 0], return_inverse=True)[1].reshape(-1)
-    for axis in (1, 2):
-        column = np.unique(cells[:, axis], return_inverse=True)[1].reshape(-1)
+    group = np.unique(cells[0], return_inverse=True)[1].reshape(-1)
+    for row in cells[1:]:
+        column = np.unique(row, return_inverse=True)[1].reshape(-1)
         group = np.unique(group * (int(column.max()) + 1) + column, return_inverse=True)[
             1
         ].reshape(-1)

@@ -50,8 +50,9 @@ def perceive(
     request: SynthesisRequest,
     scene: SceneSettings | None = None,
     ranking: RankingSettings | None = None,
+    threads: int = 1,
 ) -> Perceived:
-    """Preprocess a cloud.
+    """Preprocess a cloud, with so many threads; they change no result.
 
     Raises:
         CloudError, EmptyRegionError: nothing of it is of use.
@@ -65,6 +66,7 @@ def perceive(
             gravity=request.gravity,
             region=request.region,
             settings=scene,
+            threads=threads,
         )
 
     assert not isinstance(request.floor, (int, float))  # a plane since it was checked

@@ -107,7 +107,7 @@ class SynthesisRun:
         start = time.perf_counter()
         request, ranking = self.request, self.settings.ranking
         with self._phase("perceive"):
-            seen = perceive(cloud, request, self.scene_settings, ranking)
+            seen = perceive(cloud, request, self.scene_settings, ranking, self.threads)
         self.notes = seen.notes
         if seen.empty:
             self._trace(seen)
