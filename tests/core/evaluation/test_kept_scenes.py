@@ -101,6 +101,19 @@ def test_scenes_of_another_run_are_refused(change, said, gripper, pool, tmp_path
     assert list(kept(tmp_path / "out.json", gripper, pool, scenes=9).outcomes) == [0]
 
 
+def test_a_run_without_scenes_goes_on_and_gives_way(gripper, pool, tmp_path) -> None:
+    out = tmp_path / "out.json"
+    first = kept(out, gripper, pool)
+    assert not first.begun
+    first.begin()
+    again = kept(out, gripper, pool)
+    assert again.begun and not again.outcomes
+    other = kept(out, gripper, pool, friction=0.5)
+    assert not other.begun
+    other.add(0, OUTCOME)
+    assert list(kept(out, gripper, pool, friction=0.5).outcomes) == [0]
+
+
 def test_another_file_is_not_written_into(gripper, pool, tmp_path) -> None:
     (tmp_path / "out.json.part").write_text("somebody's notes\n")
     with pytest.raises(InvalidRequestError, match="expected those of this run"):

@@ -242,8 +242,9 @@ def _rates(
     if kept.outcomes:
         say(f"{len(kept.outcomes)} scenes are done already ({kept.path})")
     pictures = None if failures is None else FailurePictures(failures, executing)
-    if pictures is not None and not kept.outcomes:
+    if pictures is not None and not kept.begun:
         pictures.require_new()
+        kept.begin()
     place = "procedural" if objects is None else "/".join(objects.resolve().parts[-2:])
     with progress_bar(settings.scenes, settings.protocol) as bar:
 

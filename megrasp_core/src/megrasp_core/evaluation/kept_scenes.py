@@ -25,7 +25,13 @@ PACKAGE = Path(__file__).parents[1]
 
 
 class KeptScenes:
-    """A file with a line for the run and one for every scene, number and outcome."""
+    """A file with a line for the run and one for every scene, number and outcome.
+
+    Attributes:
+        path: of the file.
+        outcomes: of the scenes that are done, by number.
+        begun: this run has begun before, even if no scene was done.
+    """
 
     def __init__(self, path: str | Path, run: Mapping[str, Any]) -> None:
         """Read what an earlier run left there, or begin.
@@ -40,6 +46,7 @@ class KeptScenes:
         """
         self.path = Path(path)
         self.outcomes: dict[int, SceneOutcome] = {}
+        self.begun = False
         made_with = {"versions": versions(), "code": code_hash(PACKAGE)}
         self._run = json.loads(json.dumps({**run, **made_with}))
         if self.path.exists():
@@ -82,15 +89,20 @@ class KeptScenes:
         }
         return cls(out.with_name(f"{out.name}.part"), run)
 
+    def begin(self) -> None:
+        """Leave word of the run before its first scene is done."""
+        if not self.begun:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self.path.write_text(json.dumps(self._run) + "\n")
+            self.begun = True
+
     def add(self, number: int, outcome: SceneOutcome) -> None:
         """Keep a scene."""
+        self.begin()
         self.outcomes[number] = outcome
-        lines = [{"scene": number, "outcome": outcome.to_json()}]
-        if not self.path.exists():
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            lines.insert(0, self._run)
         with self.path.open("a") as file:
-            file.write("".join(json.dumps(line) + "\n" for line in lines))
+            line = {"scene": number, "outcome": outcome.to_json()}
+            file.write(json.dumps(line) + "\n")
 
     def remove(self) -> None:
         """Delete the file: the result is written."""
@@ -101,12 +113,15 @@ class KeptScenes:
         found = _parsed(lines[0]) if lines else None
         if found != self._run:
             known = found if isinstance(found, dict) else {}
+            if known.keys() == self._run.keys() and len(lines) == 1:
+                return  # No scene of that run is lost.
             other = [key for key in self._run if known.get(key) != self._run[key]]
             raise InvalidRequestError(
                 f"{self.path} holds scenes of a run that was stopped and differs in "
                 f"{', '.join(other) or 'what it kept'}; expected those of this run. Run what was "
                 "stopped to its end, delete the file, or give another --out."
             )
+        self.begun = True
         whole = lines[:1]
         for line in lines[1:]:
             content = _parsed(line)
