@@ -55,8 +55,8 @@ def calibrate(
     cell has judged the grasps (docs/attempts.md), and nothing is simulated.
 
     Try:
-      megrasp calibrate --out models/megrasp-small/evaluation/calibration.json --write
-      megrasp calibrate --attempts attempts --model megrasp-small --out calibration.json
+      megrasp calibrate --out models/megrasp-bin/evaluation/calibration.json --write
+      megrasp calibrate --attempts attempts --model megrasp-bin --out calibration.json
       megrasp calibrate --rows first.judged.npz second.judged.npz --out calibration.json --write
 
     Args:

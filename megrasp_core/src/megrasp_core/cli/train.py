@@ -59,7 +59,7 @@ def train(
         --set scenes_per_step=4
       megrasp train --start-from megrasp-base --model-id mine --data data/mine --out runs/mine \
         --gripper robotiq_2f85 --total-poses 500_000 --set learning_rate=3e-4
-      megrasp train --heads-of megrasp-small --attempts attempts --data samples --out runs/heads
+      megrasp train --heads-of megrasp-bin --attempts attempts --data samples --out runs/heads
 
     Args:
         out: checkpoint, loss curves and the averaged model.

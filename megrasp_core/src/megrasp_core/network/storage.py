@@ -21,7 +21,7 @@ from .precision import low_precision_pays
 
 WEIGHTS = "model.safetensors"
 CONFIG = "config.json"
-FOR_ANY = "megrasp-small"
+FOR_ANY = "megrasp-bin"
 FOR_KIND = {"hand": "megrasp-base"}
 """Kind of gripper -> the default model where that for any gripper is not the best."""
 
