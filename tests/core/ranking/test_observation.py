@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from megrasp_core.errors import CloudError, InvalidRequestError
-from megrasp_core.pointcloud import OrientedBox, Plane
+from megrasp_core.pointcloud import OrientedBox, Plane, View
 from megrasp_core.ranking import PointState, SceneObservation
 
 TALL = ((-0.05, -0.03, 0.0), (0.0, 0.03, 0.08))
@@ -47,6 +47,60 @@ def test_the_space_of_an_occluded_neighbour_is_unseen_not_free(seen):
         with_neighbour.images[0].seen, without.images[0].seen, "the neighbour is not wholly hidden"
     )
     assert states(without, (0.10, 0.0, 0.015)) == [PointState.FREE]
+
+
+SHINY = ((0.03, -0.05, 0.0), (0.13, 0.05, 0.10))
+
+
+def without_readings(points: np.ndarray, low: tuple[float, float], high: tuple[float, float]):
+    """Points but for those over a rectangle of the floor, as the camera of `seen` sees it."""
+    on_floor = points[:, :2] * (0.85 / (0.85 - points[:, 2:]))
+    lost = (on_floor > low).all(axis=1) & (on_floor < high).all(axis=1)
+    return points[~lost]
+
+
+def test_a_body_that_returns_nothing_is_no_free_space(seen, camera):
+    """All of its top is lost but for one edge, which tells how high it is."""
+    points = seen([SHINY])
+    hole = without_readings(points, (0.045, -0.08), (0.16, 0.08))
+    observation = SceneObservation(hole, camera, gravity=DOWN, region=BIN)
+    over, below = (0.08, 0.0, 0.11), (0.08, 0.0, 0.09)
+    assert states(observation, over, below) == [PointState.FREE, PointState.INSIDE]
+    # Deep in it, too: fingers do not get there without crossing it, but their points may skip it.
+    assert states(observation, (0.08, 0.0, 0.03)) == [PointState.INSIDE]
+    # Beside it there are readings of the floor.
+    assert states(observation, (-0.10, 0.0, 0.05)) == [PointState.FREE]
+    whole = SceneObservation(points, camera, gravity=DOWN, region=BIN)
+    assert states(whole, over, below, (-0.10, 0.0, 0.05)) == [
+        PointState.FREE,
+        PointState.INSIDE,
+        PointState.FREE,
+    ]
+
+
+def test_narrow_holes_and_those_that_another_sensor_fills_are_none(seen, camera):
+    points = seen([SHINY])
+    shadow = without_readings(points, (0.0, -0.05), (0.022, 0.05))
+    beside = (0.012, 0.0, 0.05)
+    observation = SceneObservation(shadow, camera, gravity=DOWN, region=BIN)
+    assert states(observation, beside) == [PointState.FREE]
+    hole = without_readings(points, (0.045, -0.08), (0.16, 0.08))
+    lost_floor = without_readings(points, (-0.15, -0.08), (-0.05, 0.08))
+    views = [View(hole, camera), View(lost_floor, camera)]
+    both = SceneObservation(points, camera, gravity=DOWN, region=BIN, views=views)
+    assert states(both, (-0.10, 0.0, 0.0), (-0.10, 0.0, 0.02)) == [
+        PointState.NEAR,
+        PointState.FREE,
+    ]
+
+
+def test_where_the_cloud_ends_is_no_hole(seen, camera):
+    points = seen([TALL])
+    cut = points[points[:, 0] < 0.05]
+    observation = SceneObservation(cut, camera, gravity=DOWN, region=BIN)
+    assert states(observation, (0.15, 0.0, 0.05)) == [PointState.FREE]
+    free = SceneObservation(without_readings(points, (0.02, -0.1), (0.14, 0.1)), camera)
+    assert states(free, (0.08, 0.0, 0.05)) == [PointState.FREE]
 
 
 def test_walls_floor_and_the_air_above_the_walls(seen, camera):

@@ -33,6 +33,9 @@ class DepthImageSettings:
             seen.
         hole: distance (m) over which the rim of an unobserved patch is searched for the nearest
             surface.
+        wide: a pixel without any reading within this distance (m) lies in a wide hole: wider than
+            shadows and single lost readings are.
+        around: distance (m) over which a reading says how high what fills a wide hole may be.
     """
 
     pitch_in_spacings: float = 1.5
@@ -41,6 +44,8 @@ class DepthImageSettings:
     fill_passes: int = 2
     fill_neighbours: int = 3
     hole: float = 0.015
+    wide: float = 0.012
+    around: float = 0.04
 
     def __post_init__(self) -> None:
         check_ranges(
@@ -51,6 +56,8 @@ class DepthImageSettings:
             fill_passes=COUNT,
             fill_neighbours=FROM_ONE,
             hole=LENGTH,
+            wide=LENGTH,
+            around=LENGTH,
         )
 
 
@@ -58,7 +65,7 @@ class DepthImage:
     """Smallest depth per pixel of a pinhole image that looks from the sensor to the middle of the
     cloud.
 
-    Two images of the same size, all depths along the optical axis (m, float32):
+    Images of the same size, all depths along the optical axis (m, float32):
 
     - `seen`: the depth, `inf` where nothing was seen. Single empty pixels between seen ones are
       filled with the *nearest* of their 3x3 neighbours, so that sparse pixels do not read as free
@@ -67,6 +74,9 @@ class DepthImage:
       (within `hole`), or the depth of the nearest seen pixel for larger patches. In front of it is
       free (the rim's surface, or something behind it, stops the ray), behind it unknown. Equals
       `seen` elsewhere.
+    - `lid`: in wide holes, where a body may be that returned nothing, a shiny or a black one, the
+      smallest depth on the rim of the whole patch, if it has one all around, and of the readings
+      near by; `inf` elsewhere.
     """
 
     def __init__(
@@ -115,6 +125,7 @@ class DepthImage:
         self.pixel_size = float(self.pitch * np.median(depth[::stride]))
         self.seen = self._fill(self._splat(u, v, depth))
         self.front = self._close(self.seen)
+        self.lid = self._lids(self.seen)
 
     def lookup(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Depth of points and of the surface at their pixels.
@@ -135,6 +146,16 @@ class DepthImage:
         seen = self.seen.ravel()[index]
         seen[outside] = np.inf
         return depth, seen, self.front.ravel()[index]
+
+    def below_lid(self, points: np.ndarray) -> np.ndarray:
+        """How deep (P,) points (P, 3) lie behind the lid of a wide hole (m); -inf beside them."""
+        row, column, depth = self._pixels(points)
+        height, width = self.shape
+        inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
+        below = np.full(len(depth), -np.inf, dtype=np.float32)
+        at = row[inside].astype(np.int32), column[inside].astype(np.int32)
+        below[inside] = depth[inside] - self.lid[at]
+        return below
 
     def pixels(self, points: np.ndarray) -> np.ndarray:
         """Row and column (P, 2) of points (P, 3); those outside the image have some beyond its
@@ -191,6 +212,25 @@ class DepthImage:
         rows, columns = np.asarray(index)
         nearest = image[rows, columns]
         return np.where(empty, np.minimum(rim, nearest), image).astype(np.float32)
+
+    def _lids(self, image: np.ndarray) -> np.ndarray:
+        lid = np.full(image.shape, np.inf, dtype=np.float32)
+        empty = ~np.isfinite(image)
+        distance = np.asarray(ndimage.distance_transform_edt(empty))
+        wide = distance * self.pixel_size > self.settings.wide
+        if not wide.any() or not empty.any():
+            return lid
+        size = 2 * max(1, round(self.settings.around / self.pixel_size)) + 1
+        near = ndimage.minimum_filter(image, size=size, mode="nearest")
+        patches = np.zeros(image.shape, dtype=np.int32)
+        ndimage.label(empty, output=patches)
+        rim = ndimage.minimum_filter(image, size=3, mode="nearest")
+        numbers = np.arange(patches.max() + 1)
+        least = np.asarray(ndimage.minimum(rim, patches, numbers), dtype=np.float32)
+        # What reaches the border may be no hole but where the cloud ends.
+        least[np.unique(np.concatenate([*patches[[0, -1]], *patches[:, [0, -1]].T]))] = np.inf
+        lid[wide] = np.minimum(near, least[patches])[wide]
+        return lid
 
 
 def _looking_at(direction: np.ndarray) -> np.ndarray:

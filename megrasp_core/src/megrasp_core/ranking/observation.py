@@ -26,7 +26,8 @@ class PointState(IntEnum):
 
     FREE = 0
     NEAR = 1  # within the margin of a seen surface
-    INSIDE = 2  # behind a seen surface by more than the margin, less than the shell: in that body
+    INSIDE = 2  # behind a seen surface by more than the margin, less than the shell: in that body;
+    # or in a wide hole of the depth image, not over its rim: in a body that returned nothing
     UNSEEN = 3  # further behind a seen surface, or where nothing was seen
     WALL = 4  # in or beyond a wall of the bin, below its top
     FLOOR = 5  # below the bin's floor or the support plane
@@ -43,6 +44,7 @@ class ObservationSettings:
             cross this shell.
         wall_margin: penetration into a wall of the bin that is tolerated (m).
         floor_margin: penetration into the floor that is tolerated (m); the verdict allows 1 mm.
+        lid_margin: so far below the rim of a wide hole (m) a point is inside.
         image: the depth image.
     """
 
@@ -50,6 +52,7 @@ class ObservationSettings:
     shell: float = 0.015
     wall_margin: float = 0.001
     floor_margin: float = 0.001
+    lid_margin: float = 0.006
     image: DepthImageSettings = field(default_factory=DepthImageSettings)
 
     def __post_init__(self) -> None:
@@ -59,6 +62,7 @@ class ObservationSettings:
             shell=LENGTH,
             wall_margin=LENGTH,
             floor_margin=LENGTH,
+            lid_margin=LENGTH,
         )
 
 
@@ -68,9 +72,11 @@ class SceneObservation:
     The depth image is drawn from the full crop (before voxels and thinning). In front of the seen
     surface is free, within the margin of it occupied (`NEAR`), behind it unknown; the first
     `shell` behind it counts as inside the seen body (`INSIDE`). A pixel where nothing was seen is
-    free only in front of the nearest surface on its rim. With walls, the four sides of the region
-    are walls below the region's top and its bottom is the floor; outside the region above the
-    walls' top, where the crop holds no points, is free.
+    free only in front of the nearest surface on its rim. Over the bottom of the region, what no
+    sensor has readings of over centimetres is taken for a body as high as the rim of that hole
+    (`DepthImage.lid`): shiny and black surfaces return nothing. With walls, the four sides of the
+    region are walls below the region's top and its bottom is the floor; outside the region above
+    the walls' top, where the crop holds no points, is free.
     """
 
     def __init__(
@@ -199,11 +205,22 @@ class SceneObservation:
         state[signed <= s.shell] = PointState.INSIDE
         state[signed <= s.margin] = PointState.NEAR
         state[signed < -s.margin] = PointState.FREE
+        if self._box_from_world is not None:
+            state[self._in_wide_hole(points)] = PointState.INSIDE
         if self.walls:
             self._classify_walls(points, signed, state)
         elif self.floor is not None:
             state[self.floor.height(points) < -s.floor_margin] = PointState.FLOOR
         return state
+
+    def _in_wide_hole(self, points: np.ndarray) -> np.ndarray:
+        """Whether points (P, 3) lie within the region's sides and, for all sensors, below the lid
+        of a wide hole.
+        """
+        margin = self.settings.lid_margin
+        below = np.minimum.reduce([image.below_lid(points) for image in self.images]) > margin
+        sides = np.abs(self.box_coordinates(points)[:, :2]) < self._half[:2]
+        return below & sides.all(axis=1)
 
     def _classify_walls(self, points: np.ndarray, signed: np.ndarray, state: np.ndarray) -> None:
         s, half = self.settings, self._half
