@@ -218,7 +218,7 @@ class DepthImage:
         empty = ~np.isfinite(image)
         distance = np.asarray(ndimage.distance_transform_edt(empty))
         wide = distance * self.pixel_size > self.settings.wide
-        if not wide.any() or not empty.any():
+        if not wide.any():
             return lid
         size = 2 * max(1, round(self.settings.around / self.pixel_size)) + 1
         near = ndimage.minimum_filter(image, size=size, mode="nearest")
