@@ -93,3 +93,10 @@ def test_normals_turn_with_the_cloud(heap, motion: np.ndarray) -> None:
     )
     # Points at equal distance (a regular table) may enter the patch in another order.
     assert np.mean(np.abs(after - before @ rotation.T).max(axis=1) < 1e-6) > 0.98
+
+
+def test_threads_change_no_neighbour():
+    points = np.random.default_rng(3).random((500, 3))
+    one, two = (neighbours(points, points, 16, threads=threads) for threads in (1, 2))
+    np.testing.assert_array_equal(one[0], two[0])
+    np.testing.assert_array_equal(one[1], two[1])

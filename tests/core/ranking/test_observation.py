@@ -95,12 +95,15 @@ def test_narrow_holes_and_those_that_another_sensor_fills_are_none(seen, camera)
 
 
 def test_where_the_cloud_ends_is_no_hole(seen, camera):
-    points = seen([TALL])
-    cut = points[points[:, 0] < 0.05]
+    points = seen([SHINY])
+    # A quarter of the view is missing, and the box stands at its rim.
+    cut = points[(points[:, 0] < 0.05) | (points[:, 1] < 0.0)]
     observation = SceneObservation(cut, camera, gravity=DOWN, region=BIN)
-    assert states(observation, (0.15, 0.0, 0.05)) == [PointState.FREE]
-    free = SceneObservation(without_readings(points, (0.02, -0.1), (0.14, 0.1)), camera)
-    assert states(free, (0.08, 0.0, 0.05)) == [PointState.FREE]
+    assert states(observation, (0.16, 0.11, 0.05)) != [PointState.INSIDE]
+    assert states(observation, (0.08, 0.02, 0.05)) == [PointState.INSIDE]
+    # Without a region nobody knows where the scene ends.
+    free = SceneObservation(without_readings(points, (0.045, -0.08), (0.16, 0.08)), camera)
+    assert states(free, (0.08, 0.0, 0.09)) == [PointState.UNSEEN]
 
 
 def test_walls_floor_and_the_air_above_the_walls(seen, camera):
