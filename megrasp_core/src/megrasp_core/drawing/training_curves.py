@@ -8,6 +8,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
@@ -42,6 +44,38 @@ def plot_curves(losses: Path, picture: Path) -> None:
         for key in sorted({key for line in lines for key in line.get(name, {})}):
             _curve(axes, lines, key, (line.get(name, {}).get(key) for line in lines))
         _finish(axes, PARTS[name])
+    figure.savefig(picture, dpi=110)
+
+
+def plot_forecast(
+    losses: Path, poses: np.ndarray, law: np.ndarray, error: np.ndarray, picture: Path
+) -> None:
+    """Draw the diffusion's validation losses of a run and a law that goes on from them.
+
+    Args:
+        losses: `losses.jsonl` of a run.
+        poses: (N,) seen in training, to draw the law at.
+        law: (N,) loss there.
+        error: (N,) its standard error, drawn twice to both sides.
+        picture: PNG to write.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.0, 3.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.fill_between(poses / 1e6, law - 2 * error, law + 2 * error, alpha=0.2, linewidth=0)
+    axes.plot(poses / 1e6, law, label="power law, twice its standard error")
+    measured = [
+        (line["poses"] / 1e6, line["validation_diffusion"])
+        for line in read_losses(losses)
+        if line.get("validation_diffusion") is not None
+    ]
+    axes.plot(*zip(*measured, strict=True), "k.", label="validation")
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter("{x:g}")
+    _finish(axes, "diffusion loss")
     figure.savefig(picture, dpi=110)
 
 
