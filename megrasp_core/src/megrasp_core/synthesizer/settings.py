@@ -69,9 +69,9 @@ class PolishSettings:
         shrink: of both from round to round.
     """
 
-    candidates: int = 16
-    rounds: int = 3
-    moves: int = 8
+    candidates: int = 12
+    rounds: int = 2
+    moves: int = 6
     distance: float = 0.004
     angle: float = 0.09
     shrink: float = 0.7
