@@ -65,8 +65,8 @@ def test_the_site_has_what_docstrings_and_help_say(site: Path) -> None:
     assert "megrasp gripper score-wizard" in (site / "reference/cli.html").read_text()
     assert "SynthesizeGrasps.srv" in (site / "reference/ros.html").read_text()
     linked = (site / "results.html").read_text()
-    assert "models/megrasp-small/evaluation/binpick_robotiq_2f85.json" in linked
-    assert (site / "models/megrasp-small/evaluation/binpick_robotiq_2f85.json").is_file()
+    assert "models/megrasp-bin/evaluation/binpick_robotiq_2f85.json" in linked
+    assert (site / "models/megrasp-bin/evaluation/binpick_robotiq_2f85.json").is_file()
     start = (site / "index.html").read_text()
     assert 'href="ros.html"' in start and 'src="images/grasps.png"' in start, (
         "links of the README are turned"

@@ -71,7 +71,7 @@ def test_options_that_contradict_each_other_are_refused(tmp_path, capsys):
     begin = ["train", "--data", str(tmp_path), "--out", str(tmp_path / "run")]
     for more, message in (
         (["--resume", "--set", "seed=2"], "--set was given with --resume"),
-        (["--heads-of", "megrasp-small", "--network", "width=32"], "brings its network"),
+        (["--heads-of", "megrasp-bin", "--network", "width=32"], "brings its network"),
         (["--start-from", "a", "--heads-of", "b"], "--start-from and --heads-of were given"),
         (["--set", "train_only=heads"], "expected the model whose heads are trained"),
         (["--device", "gpu"], "device 'gpu' cannot be used"),

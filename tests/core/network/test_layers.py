@@ -166,7 +166,7 @@ def test_bfloat16_is_used_only_where_the_processor_multiplies_it(monkeypatch):
     for flags, pays in (({"avx2", "avx512f"}, False), ({"amx_bf16"}, True)):
         monkeypatch.setattr(precision, "_processor_flags", lambda flags=flags: frozenset(flags))
         assert precision.low_precision_pays("cpu") is pays
-        model = load_model("megrasp-small")
+        model = load_model("megrasp-bin")
         assert model.low_precision is pays
 
 

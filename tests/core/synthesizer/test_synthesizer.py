@@ -367,8 +367,8 @@ def test_each_kind_of_gripper_has_its_default_model():
     assert run(synthesizer).model == synthesizer.model.model_id == default_model("adaptive")
     synthesizer.set_gripper("shadow_hand_3f")
     assert run(synthesizer).model == hand.model_id == default_model("hand")
-    one = GraspSynthesizer.load("megrasp-small", "shadow_hand_3f")
-    assert one.model.model_id == "megrasp-small"
+    one = GraspSynthesizer.load("megrasp-bin", "shadow_hand_3f")
+    assert one.model.model_id == "megrasp-bin"
 
 
 def test_no_threads_are_refused(model):

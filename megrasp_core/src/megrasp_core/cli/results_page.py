@@ -1,8 +1,9 @@
 """The rates and causes in docs/results.md, and pictures of how far scores are to be trusted:
 `python -m megrasp_core.cli.results_page docs/results.md`.
 
-Rows come from every result file of `megrasp eval` in the `evaluation` folders of the models and in
-docs/results; `reliability.png` is drawn beside every calibration.json of a model.
+Rows come from every result file of `megrasp eval` in the `evaluation` folders of the models, in
+docs/results and in that of the first model, which does not ship any more; `reliability.png` is
+drawn beside every calibration.json of a model.
 """
 
 from __future__ import annotations
@@ -26,7 +27,11 @@ HEADS = ("gripper", "model", "friction", "scenes", "first", "first_all", "filter
 CAUSES = ("slipped", "no_contact", "not_lifted", "start_collision", "approach_collision",
           "obstacle", "bin", "no_answer")  # fmt: skip
 CALIBRATIONS = "models/*/evaluation/calibration.json"
-PLACES = ("models/*/evaluation/*.json", "docs/results/*.json")
+PLACES = (
+    "models/*/evaluation/*.json",
+    "docs/results/*.json",
+    "docs/results/megrasp_small/*.json",
+)
 
 
 def tables(page: Path) -> str:

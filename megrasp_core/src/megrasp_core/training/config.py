@@ -44,7 +44,7 @@ class TrainConfig:
 
     network: ModelConfig = PRESETS["small"]
     """Sizes of the network."""
-    model_id: str = "megrasp-small"
+    model_id: str = "unnamed"
     """Name of the model that comes out."""
     grippers: tuple[str, ...] = GRIPPERS
     """Names of the grippers to learn."""
