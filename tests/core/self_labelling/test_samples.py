@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -160,10 +161,16 @@ def test_models_are_compared_by_samples_in_the_same_scenes(record, tmp_path, cap
         written_scenes.add(dataclasses.replace(record, seed=seed, name=f"scene_{seed:010d}"))
     written_scenes.close()
     sampler = SamplerSettings(steps=2, restarts=0)
+    all_of_it = {"poses": 5000, "cpu_seconds": 20.0}
+    heads_alone = {"poses": 0, "cpu_seconds": 3.0}
+    trained: dict[str, dict[str, Any]] = {
+        "one": {"counters": all_of_it},
+        "two": {"counters": heads_alone, "started_from": {"counters": all_of_it}},
+    }
     for name in ("one", "two"):
         torch.manual_seed(len(name))
         model = GraspModel(PRESETS["tiny"], model_id=name)
-        model.info = dataclasses.replace(model.info, sampler=sampler)
+        model.info = dataclasses.replace(model.info, sampler=sampler, **trained[name])
         save_model(model, tmp_path / name / "model")
     page = tmp_path / "page.md"
     page.write_text("<!-- comparison -->\n<!-- /comparison -->\n")
@@ -177,6 +184,7 @@ def test_models_are_compared_by_samples_in_the_same_scenes(record, tmp_path, cap
     content = json.loads(out.read_text())
     assert [row["model"] for row in content["rows"]] == ["one", "two"]
     for row in content["rows"]:
+        assert (row["poses"], row["cpu_seconds"]) == (5000, 20.0)
         for name in ("robotiq_2f85", "allegro_hand"):
             rates = row[name]
             # Three samples in each of the two scenes, so that five are reached.

@@ -146,7 +146,10 @@ def sample_rates(
 
 
 def _training_facts(model: GraspModel) -> dict[str, Any]:
+    # Of the run that taught the diffusion, where the last one taught the heads alone.
     counters = model.info.counters
+    if not counters.get("poses"):
+        counters = model.info.started_from.get("counters", counters)
     return {
         "parameters": sum(weight.numel() for weight in model.parameters()),
         "poses": counters.get("poses"),
