@@ -60,5 +60,6 @@ if __name__ == "__main__":
     content, law = forecast(read_losses(losses))
     emit({"losses": str(losses), **content}, out)
     poses = np.geomspace(FIRST, content["more"][1]["poses"], 200)
-    values = np.array([(law.at(n), law.error(n)) for n in poses]).T
-    plot_forecast(losses, poses, *values, out.with_suffix(".png"))
+    values = np.array([law.at(n) for n in poses])
+    errors = np.array([law.error(n) for n in poses])
+    plot_forecast(losses, poses, values, errors, out.with_suffix(".png"))

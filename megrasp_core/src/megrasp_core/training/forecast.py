@@ -74,7 +74,8 @@ def fit_curve(
     start = (0.9 * loss.min(), loss.max() - 0.9 * loss.min(), 0.5)
     found, covariance = curve_fit(_law, n, loss, p0=start, bounds=(0.0, np.inf))
     residual = float(np.sqrt(np.mean((loss - _law(n, *found)) ** 2)))
-    return LossCurve(*map(float, found), covariance, residual)
+    limit, gain, exponent = map(float, found)
+    return LossCurve(limit, gain, exponent, covariance, residual)
 
 
 def _law(n: Any, limit: float, gain: float, exponent: float) -> Any:
