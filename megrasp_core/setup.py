@@ -16,7 +16,7 @@ from setuptools.command.sdist import sdist
 
 HERE = Path(__file__).resolve().parent
 SHARE = Path("megrasp_core") / "share"
-MODEL_FILES = ("config.json", "model.safetensors", "metrics.json", "MODEL_CARD.md")
+MODEL_FILES = ("config.json", "model.safetensors", "MODEL_CARD.md")
 """Of a model; logs, evaluations and checkpoints stay in the repository."""
 
 
