@@ -80,6 +80,18 @@ def test_a_floor_that_was_seen_is_left_alone() -> None:
     assert near.sum() > 100
 
 
+def test_shiny_bodies_over_most_of_a_seen_floor_are_no_look_at_it() -> None:
+    floor = top(0.0, 0.0, 0.0, edge=0.5)
+    lost = (np.abs(floor[:, :2]) < (0.15, 0.12)).all(axis=1)
+    inside = (np.abs(floor[:, :2]) < (0.20, 0.15)).all(axis=1)
+    assert 0.55 < lost[inside].mean() < 0.65
+    surface = seen(floor[~lost], BIN)
+    found = unseen_structure(surface)
+    assert len(found.points) == 0
+    assert "assume_empty" in found.note
+    assert len(unseen_structure(surface, assume_empty=True).points) > 1000
+
+
 def test_a_dark_spot_on_an_object_is_no_look_at_the_floor() -> None:
     box = top(0.0, 0.0, 0.08, edge=0.12)
     spot = np.linalg.norm(box[:, :2], axis=1) < 0.012

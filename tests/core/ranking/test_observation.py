@@ -26,7 +26,28 @@ def test_space_in_front_is_free_and_the_seen_body_is_inside(seen, camera):
     assert states(observation, (-0.025, 0, 0.10)) == [PointState.FREE]
     assert states(observation, (-0.025, 0, 0.079)) == [PointState.NEAR]
     assert states(observation, (-0.025, 0, 0.072)) == [PointState.INSIDE]
-    assert states(observation, (-0.025, 0, 0.02)) == [PointState.UNSEEN]
+    assert states(observation, (-0.005, 0, 0.02)) == [PointState.UNSEEN]
+
+
+def test_what_lies_under_a_seen_top_away_from_its_outline_is_the_body(seen, camera):
+    deep, by_the_side = (-0.025, 0.0, 0.02), (-0.005, 0.0, 0.02)
+    known = SceneObservation(seen([TALL]), camera, gravity=DOWN)
+    assert states(known, deep, by_the_side) == [PointState.INSIDE, PointState.UNSEEN]
+    # Nobody knows what is below the top without knowing where below is.
+    assert states(SceneObservation(seen([TALL]), camera), deep) == [PointState.UNSEEN]
+    # Something narrow has no such inner part: its handle may be a bridge.
+    bridge = ((-0.05, -0.006, 0.05), (0.05, 0.006, 0.06))
+    bridge = SceneObservation(seen([bridge]), camera, gravity=DOWN)
+    assert states(bridge, (0.0, 0.0, 0.02)) == [PointState.UNSEEN]
+
+
+def test_stray_points_over_the_scene_cover_nothing(seen, camera):
+    strays = np.random.default_rng(0).uniform((-0.2, -0.15, 0.1), (0.2, 0.15, 0.2), (60, 3))
+    points = np.concatenate([seen([TALL]), strays])
+    observation = SceneObservation(points, camera, gravity=DOWN)
+    grid = np.stack(np.meshgrid(np.linspace(0.02, 0.18, 50), np.linspace(-0.1, 0.1, 50)), axis=-1)
+    over_the_floor = np.concatenate([grid.reshape(-1, 2), np.full((2500, 1), 0.03)], axis=1)
+    assert (observation.classify(over_the_floor) == PointState.INSIDE).mean() < 0.01
 
 
 def test_depth_behind_the_surface_is_the_distance_along_the_view(seen, camera):
@@ -68,6 +89,8 @@ def test_a_body_that_returns_nothing_is_no_free_space(seen, camera):
     assert states(observation, over, below) == [PointState.FREE, PointState.INSIDE]
     # Deep in it, too: fingers do not get there without crossing it, but their points may skip it.
     assert states(observation, (0.08, 0.0, 0.03)) == [PointState.INSIDE]
+    # Close to the hole's rim, too, where a finger beside it would go in.
+    assert states(observation, (0.05, 0.0, 0.08)) == [PointState.INSIDE]
     # Beside it there are readings of the floor.
     assert states(observation, (-0.10, 0.0, 0.05)) == [PointState.FREE]
     whole = SceneObservation(points, camera, gravity=DOWN, region=BIN)

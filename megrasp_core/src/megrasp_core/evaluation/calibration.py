@@ -17,7 +17,13 @@ from megrasp_core.errors import DataError
 from megrasp_core.grippers import Gripper
 from megrasp_core.jobs import ExecutorConfig
 from megrasp_core.objects import ObjectModel
-from megrasp_core.ranking import Calibration, fit_calibration, logistic_features
+from megrasp_core.ranking import (
+    FEATURES,
+    FULL_CLEARANCE,
+    Calibration,
+    fit_calibration,
+    logistic_features,
+)
 
 from .kept_scenes import KeptScenes
 from .outcome import SceneOutcome
@@ -147,7 +153,11 @@ def read_judged(path: Path) -> list[JudgedGrasps]:
     try:
         with np.load(path) as file:
             ends = np.cumsum(file["count"])[:-1]
-            rows = {name: np.split(file[name], ends) for name in ROWS}
+            content = {name: file[name] for name in ROWS}
+            # Rows may be from when a larger clearance made a difference.
+            clearance = content["features"][:, FEATURES.index("clearance")]
+            np.minimum(clearance, FULL_CLEARANCE, out=clearance)
+            rows = {name: np.split(values, ends) for name, values in content.items()}
             return [
                 JudgedGrasps(
                     gripper=str(gripper),

@@ -33,7 +33,7 @@ class DepthImageSettings:
             seen.
         hole: distance (m) over which the rim of an unobserved patch is searched for the nearest
             surface.
-        wide: a pixel without any reading within this distance (m) lies in a wide hole: wider than
+        wide: a disc of this radius (m) without any reading in it is a wide hole: wider than
             shadows and single lost readings are.
         around: distance (m) over which a reading says how high what fills a wide hole may be.
     """
@@ -220,6 +220,9 @@ class DepthImage:
         wide = distance * self.pixel_size > self.settings.wide
         if not wide.any():
             return lid
+        # Up to its rim: all that a disc of that radius covers which has no reading in it.
+        middle = np.asarray(ndimage.distance_transform_edt(~wide))
+        wide = empty & (middle * self.pixel_size < self.settings.wide)
         size = 2 * max(1, round(self.settings.around / self.pixel_size)) + 1
         near = ndimage.minimum_filter(image, size=size, mode="nearest")
         patches = np.zeros(image.shape, dtype=np.int32)

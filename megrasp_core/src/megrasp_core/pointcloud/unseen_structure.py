@@ -8,7 +8,7 @@ an object stays unknown.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -29,8 +29,10 @@ BoolArray = NDArray[np.bool_]
 
 STEP = (0.001, 0.004)
 """Least and largest distance (m) between the points that are put in."""
-MOSTLY = 0.5
+MOSTLY = 0.85
 """The floor was not seen when this share of the floor in view shows nothing."""
+DOUBTFUL = 0.5
+"""With this share it may not have been seen, or shiny or black objects hide it."""
 ENOUGH = 0.15
 """Nor is that said of a heap's few gaps: so much of the whole floor has to show nothing."""
 GAP = 0.001
@@ -105,8 +107,10 @@ def unseen_structure(
     seen = np.logical_or.reduce([view.seen(on_floor, inside) for view in views])
     empty &= ~seen
     share = empty.sum() / max(1, empty.sum() + seen.sum())
-    dark = share > MOSTLY and empty.sum() > ENOUGH * len(empty)
-    if not (assume_empty or dark):
+    much = empty.sum() > ENOUGH * len(empty)
+    if not (assume_empty or (share > MOSTLY and much)):
+        if share > DOUBTFUL and much:
+            return replace(nothing, note=_doubt(share))
         return nothing
     points = np.concatenate([on_floor, _sides(surface, floor, step)]) if in_bin else on_floor
     looks = np.stack([view.empty(points, inside, all_gaps=assume_empty) for view in views])
@@ -128,6 +132,13 @@ def unseen_structure(
         floor,
         note + ".",
         estimated=source == "taken from the lowest points",
+    )
+
+
+def _doubt(share: float) -> str:
+    return (
+        f"the floor shows no reading in {100 * share:.0f} % of it, taken for objects that "
+        "return nothing, shiny or black ones. Where it is the floor, set assume_empty."
     )
 
 

@@ -2,7 +2,13 @@
 (docs/architecture.md, "Ranking").
 """
 
-from .calibration import FEATURES, Calibration, fit_calibration, logistic_features
+from .calibration import (
+    FEATURES,
+    FULL_CLEARANCE,
+    Calibration,
+    fit_calibration,
+    logistic_features,
+)
 from .check import (
     REASONS,
     CheckSettings,
@@ -26,6 +32,8 @@ from .rank import RankSettings, excluded, rejection_counts, score_grasps, suppre
 from .sweep import SweepSettings, sweep_hits, sweep_points
 
 __all__ = [
+    "FEATURES",
+    "FULL_CLEARANCE",
     "Calibration",
     "CheckSettings",
     "ClosingPath",
@@ -34,7 +42,6 @@ __all__ = [
     "ContactSurface",
     "Contacts",
     "DistanceField",
-    "FEATURES",
     "GraspCheck",
     "GripperProbe",
     "ObservationSettings",

@@ -10,10 +10,10 @@ from megrasp_core.errors import InvalidRequestError
 
 from .check import GraspCheck
 
-__all__ = ["FEATURES", "Calibration", "fit_calibration", "logistic_features"]
+__all__ = ["FEATURES", "FULL_CLEARANCE", "Calibration", "fit_calibration", "logistic_features"]
 
 FEATURES = ("confidence", "tilt", "hidden", "clearance")
-FULL_CLEARANCE = 0.006
+FULL_CLEARANCE = 0.003
 """More clearance than this (m) makes a grasp no better."""
 
 UNKNOWN_TILT = 0.3
@@ -27,7 +27,7 @@ class Calibration:
     """Logistic model of the verdict, fitted to a model's own grasps in simulation.
 
     p = 1 / (1 + exp(-z)), z = bias + confidence logit(c) + tilt t + hidden log(1 + 1000 h)
-                               + clearance min(d, 6 mm)
+                               + clearance min(d, 3 mm)
 
     with c the model's confidence, t the tilt (rad), h the share of the gripper that lies where
     nothing was seen, d the clearance (m). The default takes the confidence as it is.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,7 @@ from megrasp_core.errors import InvalidRequestError
 from megrasp_core.pointcloud import DepthImage, DepthImageSettings, View
 from megrasp_core.ranges import LENGTH, check_ranges
 
+from .cover import SurfaceCover
 from .probe import one_per_cell
 
 if TYPE_CHECKING:
@@ -27,7 +29,8 @@ class PointState(IntEnum):
     FREE = 0
     NEAR = 1  # within the margin of a seen surface
     INSIDE = 2  # behind a seen surface by more than the margin, less than the shell: in that body;
-    # or in a wide hole of the depth image, not over its rim: in a body that returned nothing
+    # or well within the outline of a seen surface below it; or in a wide hole of the depth image,
+    # not over its rim: in a body that returned nothing
     UNSEEN = 3  # further behind a seen surface, or where nothing was seen
     WALL = 4  # in or beyond a wall of the bin, below its top
     FLOOR = 5  # below the bin's floor or the support plane
@@ -44,6 +47,8 @@ class ObservationSettings:
             cross this shell.
         wall_margin: penetration into a wall of the bin that is tolerated (m).
         floor_margin: penetration into the floor that is tolerated (m); the verdict allows 1 mm.
+        inset: also deeper than the shell a point below a seen surface is inside, if it is so far
+            (m) within the outline of that surface, seen along gravity.
         lid_margin: so far below the rim of a wide hole (m) a point is inside.
         image: the depth image.
     """
@@ -52,6 +57,7 @@ class ObservationSettings:
     shell: float = 0.015
     wall_margin: float = 0.001
     floor_margin: float = 0.001
+    inset: float = 0.008
     lid_margin: float = 0.006
     image: DepthImageSettings = field(default_factory=DepthImageSettings)
 
@@ -62,6 +68,7 @@ class ObservationSettings:
             shell=LENGTH,
             wall_margin=LENGTH,
             floor_margin=LENGTH,
+            inset=LENGTH,
             lid_margin=LENGTH,
         )
 
@@ -71,12 +78,13 @@ class SceneObservation:
 
     The depth image is drawn from the full crop (before voxels and thinning). In front of the seen
     surface is free, within the margin of it occupied (`NEAR`), behind it unknown; the first
-    `shell` behind it counts as inside the seen body (`INSIDE`). A pixel where nothing was seen is
-    free only in front of the nearest surface on its rim. Over the bottom of the region, what no
-    sensor has readings of over centimetres is taken for a body as high as the rim of that hole
-    (`DepthImage.lid`): shiny and black surfaces return nothing. With walls, the four sides of the
-    region are walls below the region's top and its bottom is the floor; outside the region above
-    the walls' top, where the crop holds no points, is free.
+    `shell` behind it counts as inside the seen body (`INSIDE`), and so does all below it that is
+    not near its outline (`SurfaceCover`), where gravity or a region says where below is. A pixel
+    where nothing was seen is free only in front of the nearest surface on its rim. Over the bottom
+    of the region, what no sensor has readings of over centimetres is taken for a body as high as
+    the rim of that hole (`DepthImage.lid`): shiny and black surfaces return nothing. With walls,
+    the four sides of the region are walls below the region's top and its bottom is the floor;
+    outside the region above the walls' top, where the crop holds no points, is free.
     """
 
     def __init__(
@@ -205,6 +213,10 @@ class SceneObservation:
         state[signed <= s.shell] = PointState.INSIDE
         state[signed <= s.margin] = PointState.NEAR
         state[signed < -s.margin] = PointState.FREE
+        unseen = np.flatnonzero(state == PointState.UNSEEN)
+        if len(unseen) and self._cover is not None:
+            covered = self._cover.depth(np.asarray(points)[unseen]) > s.margin
+            state[unseen[covered]] = PointState.INSIDE
         if self._box_from_world is not None:
             state[self._in_wide_hole(points)] = PointState.INSIDE
         if self.walls:
@@ -212,6 +224,17 @@ class SceneObservation:
         elif self.floor is not None:
             state[self.floor.height(points) < -s.floor_margin] = PointState.FLOOR
         return state
+
+    @cached_property
+    def _cover(self) -> SurfaceCover | None:
+        if self.gravity is not None:
+            down = self.gravity
+        elif self._box_from_world is not None:
+            down = -self._box_from_world[2, :3]
+        else:
+            return None
+        spacing = self.images[0].pixel_size
+        return SurfaceCover(self.points, down, self.settings.inset, spacing)
 
     def _in_wide_hole(self, points: np.ndarray) -> np.ndarray:
         """Whether points (P, 3) lie within the region's sides and, for all sensors, below the lid
