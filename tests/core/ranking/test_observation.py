@@ -8,6 +8,7 @@ import pytest
 from megrasp_core.errors import CloudError, InvalidRequestError
 from megrasp_core.pointcloud import OrientedBox, Plane, View
 from megrasp_core.ranking import PointState, SceneObservation
+from megrasp_core.ranking.cover import SurfaceCover
 
 TALL = ((-0.05, -0.03, 0.0), (0.0, 0.03, 0.08))
 HIDDEN = ((0.0, -0.02, 0.0), (0.012, 0.02, 0.03))
@@ -48,6 +49,15 @@ def test_stray_points_over_the_scene_cover_nothing(seen, camera):
     grid = np.stack(np.meshgrid(np.linspace(0.02, 0.18, 50), np.linspace(-0.1, 0.1, 50)), axis=-1)
     over_the_floor = np.concatenate([grid.reshape(-1, 2), np.full((2500, 1), 0.03)], axis=1)
     assert (observation.classify(over_the_floor) == PointState.INSIDE).mean() < 0.01
+
+
+def test_one_point_a_kilometre_away_and_a_hall_cost_no_memory(seen, camera):
+    deep = np.array([[-0.025, 0.0, 0.02]])
+    stray = np.array([[1000.0, -800.0, 0.0]])
+    cover = SurfaceCover(np.concatenate([seen([TALL]), stray]), DOWN, 0.008, 0.001)
+    assert cover.depth(deep)[0] == pytest.approx(0.06, abs=1e-3)
+    hall = np.random.default_rng(0).uniform((-50, -50, 0), (50, 50, 0.1), (10000, 3))
+    assert SurfaceCover(hall, DOWN, 0.008, 0.001).depth(deep)[0] == -np.inf
 
 
 def test_depth_behind_the_surface_is_the_distance_along_the_view(seen, camera):

@@ -9,6 +9,10 @@ __all__ = ["SurfaceCover"]
 
 CELL = 0.004
 """Least width of a cell of the height map (m)."""
+MAX_SIDE = 2048
+"""Cells along a side of the height map; larger scenes have no cover."""
+SAMPLE = 20_000
+"""Points that the extent is taken from, but for a thousandth at either end: strays."""
 FILLED_BY = 5
 """An empty cell with so many of its eight neighbours is a gap between points."""
 
@@ -35,14 +39,21 @@ class SurfaceCover:
         x = np.cross(np.eye(3)[int(np.argmin(np.abs(up)))], up)
         x /= np.linalg.norm(x)
         self._axes = np.stack([x, np.cross(up, x), up]).astype(np.float32)
-        self._origin = np.asarray(points).mean(axis=0)
+        self._origin = np.median(np.asarray(points)[:: max(1, len(points) // SAMPLE)], axis=0)
         self._cell = np.float32(max(CELL, 1.5 * spacing))
         local = self._local(points)
-        self._corner = local[:, :2].min(axis=0) - self._cell
+        some = local[:: max(1, len(local) // SAMPLE), :2]
+        low, high = np.quantile(some, (0.001, 0.999), axis=0)
+        self._corner = (low - 0.05 * (high - low) - self._cell).astype(np.float32)
+        shape = np.ceil(1.1 * (high - low) / self._cell).astype(np.int64) + 3
+        if shape.max() > MAX_SIDE:
+            shape = np.zeros(2, dtype=np.int64)
+        heights = np.full(shape, -np.inf, dtype=np.float32)
         cells = self._cells(local)
-        self._heights = np.full(cells.max(axis=0) + 2, -np.inf, dtype=np.float32)
-        np.maximum.at(self._heights, (cells[:, 0], cells[:, 1]), local[:, 2])
-        self._heights = _inset(_filled(self._heights), max(1, round(inset / float(self._cell))))
+        inside = ((cells >= 0) & (cells < shape)).all(axis=1)
+        np.maximum.at(heights, tuple(cells[inside].T), local[inside, 2])
+        reach = max(1, round(inset / float(self._cell)))
+        self._heights = _inset(_filled(heights), reach) if heights.size else heights
 
     def depth(self, points: np.ndarray) -> np.ndarray:
         """How far (P,) points (P, 3) lie below the cover (m, float32); -inf where there is
