@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from megrasp_core.errors import InvalidRequestError
 from megrasp_core.ranking import Calibration, fit_calibration, logistic_features
+from megrasp_core.ranking.calibration import FULL_CLEARANCES
 
 
 def drawn(weights: Calibration, count: int, seed: int = 0):
@@ -23,13 +24,15 @@ def drawn(weights: Calibration, count: int, seed: int = 0):
     return features, rng.random(count) < weights.of_features(features)
 
 
-def test_the_fit_finds_the_weights_that_the_verdicts_were_drawn_with():
-    truth = Calibration(bias=0.4, confidence=0.8, tilt=-3.0, hidden=-0.7, clearance=90.0)
+@pytest.mark.parametrize("full", FULL_CLEARANCES)
+def test_the_fit_finds_the_weights_that_the_verdicts_were_drawn_with(full):
+    truth = Calibration(0.4, 0.8, tilt=-3.0, hidden=-0.7, clearance=300.0, full_clearance=full)
     found = fit_calibration(*drawn(truth, 20_000))
+    assert found.full_clearance == full
     assert found.confidence == pytest.approx(0.8, abs=0.06)
     assert found.tilt == pytest.approx(-3.0, abs=0.4)
     assert found.hidden == pytest.approx(-0.7, abs=0.08)
-    assert found.clearance == pytest.approx(90.0, abs=25.0)
+    assert found.clearance == pytest.approx(300.0, abs=50.0)
     assert found.bias == pytest.approx(0.4, abs=0.2)
 
 

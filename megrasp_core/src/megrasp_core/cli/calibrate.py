@@ -39,6 +39,7 @@ def calibrate(
     scenes: int = 20,
     judged: int = 8,
     drawn: int = 100,
+    copies: int = 0,
     threads: int | None = None,
     workers: int = 1,
     write: Flag = False,
@@ -69,6 +70,7 @@ def calibrate(
         scenes: bins or tables per gripper.
         judged: grasps judged per stage.
         drawn: poses drawn per synthesis.
+        copies: stretched and mirrored ones of every scan besides.
         threads: torch threads; one a process where several run the scenes, without it.
         workers: processes that run the scenes.
         write: put the result into the model's config.json, where every synthesis finds it; that
@@ -92,7 +94,7 @@ def calibrate(
         extra = {"rows": [path.name for path in rows]}
     elif attempts is None:
         parts, kept = _simulated(
-            model, gripper or DEFAULT, scenes, judged, drawn, threads, workers, seed, out
+            model, gripper or DEFAULT, scenes, judged, drawn, copies, threads, workers, seed, out
         )
         # Before the fit: it may find that all of these hold, and they took hours.
         rows_file = out.with_suffix(".judged.npz")
@@ -100,7 +102,7 @@ def calibrate(
         say(f"wrote {rows_file}")
         for scenes_of in kept:
             scenes_of.remove()
-        extra = {"seed": seed, "drawn": drawn}
+        extra = {"seed": seed, "drawn": drawn, "copies": copies}
     else:
         parts, extra = _recorded(attempts, load_model(folder), gripper)
     calibration, report = fit(parts)
@@ -155,6 +157,7 @@ def _simulated(
     scenes: int,
     judged: int,
     drawn: int,
+    copies: int,
     threads: int | None,
     workers: int,
     seed: int,
@@ -169,7 +172,7 @@ def _simulated(
     from megrasp_core.synthesizer import GraspSynthesizer
 
     spread = None if workers == 1 else executor_of("local", None, workers)
-    pool = validation_pool()
+    pool = validation_pool(copies=copies)
     parts, kept = [], []
     for name in grippers:
         loaded = load_gripper(name)

@@ -34,7 +34,7 @@ def finetune(
     device: str = "cpu",
     seed: int = 1,
 ) -> int:
-    """Teach a model a gripper from a few grasps, without making it worse for others.
+    """Teach a model a gripper from a few grasps; the codes of other grippers are held.
 
     GRASPS is a JSON list of {"cloud": path, "world_from_gripper": [x, y, z, qx, qy, qz, qw]};
     paths are relative to it, clouds as for `synthesize`. An entry may have `frame` (world,

@@ -18,8 +18,6 @@ from megrasp_core.grippers import Gripper
 from megrasp_core.jobs import ExecutorConfig
 from megrasp_core.objects import ObjectModel
 from megrasp_core.ranking import (
-    FEATURES,
-    FULL_CLEARANCE,
     Calibration,
     fit_calibration,
     logistic_features,
@@ -154,9 +152,6 @@ def read_judged(path: Path) -> list[JudgedGrasps]:
         with np.load(path) as file:
             ends = np.cumsum(file["count"])[:-1]
             content = {name: file[name] for name in ROWS}
-            # Rows may be from when a larger clearance made a difference.
-            clearance = content["features"][:, FEATURES.index("clearance")]
-            np.minimum(clearance, FULL_CLEARANCE, out=clearance)
             rows = {name: np.split(values, ends) for name, values in content.items()}
             return [
                 JudgedGrasps(

@@ -17,6 +17,7 @@ from megrasp_core.objects import (
     load_objects,
     procedural_names,
     procedural_object,
+    stretched_name,
 )
 
 PROCEDURAL_POOL = 60
@@ -40,13 +41,15 @@ class GraspableSettings:
     seed: int = 7
 
 
-def validation_pool(procedural: int = 30) -> list[ObjectModel]:
+def validation_pool(procedural: int = 30, copies: int = 0) -> list[ObjectModel]:
     """Objects for fitting the score: the validation tenth of the train scans (where
-    MEGRASP_ASSETS is set) and procedural ones that neither training, validation nor evaluation
-    draws.
+    MEGRASP_ASSETS is set), so many stretched copies of each of them, and procedural ones that
+    neither training, validation nor evaluation draws.
     """
+    scans = asset_names("validation")
     names = [
-        *asset_names("validation"),
+        *scans,
+        *(stretched_name(scans[k % len(scans)], k) for k in range(copies * len(scans))),
         *procedural_names(procedural, ObjectSeeds.CALIBRATION.start),
     ]
     objects = ObjectSet(names)

@@ -83,9 +83,9 @@ class Explanation:
         features = logistic_features(
             *(np.array([v]) for v in
               (grasp.confidence, grasp.tilt, grasp.hidden_share, grasp.clearance))
-        )[0]  # fmt: skip
-        added = zip(("bias", *FEATURES), (1.0, *features), strict=True)
-        return {name: round(getattr(self.calibration, name) * float(v), 3) for name, v in added}
+        )  # fmt: skip
+        added = self.calibration.terms(features)[0].tolist()
+        return {n: round(v, 3) for n, v in zip(("bias", *FEATURES), added, strict=True)}
 
 
 EMPTY = (

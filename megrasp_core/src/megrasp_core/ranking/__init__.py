@@ -4,7 +4,6 @@
 
 from .calibration import (
     FEATURES,
-    FULL_CLEARANCE,
     Calibration,
     fit_calibration,
     logistic_features,
@@ -33,7 +32,6 @@ from .sweep import SweepSettings, sweep_hits, sweep_points
 
 __all__ = [
     "FEATURES",
-    "FULL_CLEARANCE",
     "Calibration",
     "CheckSettings",
     "ClosingPath",

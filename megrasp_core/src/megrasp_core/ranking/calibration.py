@@ -10,11 +10,13 @@ from megrasp_core.errors import InvalidRequestError
 
 from .check import GraspCheck
 
-__all__ = ["FEATURES", "FULL_CLEARANCE", "Calibration", "fit_calibration", "logistic_features"]
+__all__ = ["FEATURES", "Calibration", "fit_calibration", "logistic_features"]
 
 FEATURES = ("confidence", "tilt", "hidden", "clearance")
-FULL_CLEARANCE = 0.003
-"""More clearance than this (m) makes a grasp no better."""
+FULL_CLEARANCES = (0.003, 0.006, 0.01)
+"""Of these a fit takes what explains the verdicts best (m): jaws go by the first millimetres, a
+hand that has more room sits better on what it takes.
+"""
 
 UNKNOWN_TILT = 0.3
 """Taken where gravity is not known (rad)."""
@@ -27,10 +29,11 @@ class Calibration:
     """Logistic model of the verdict, fitted to a model's own grasps in simulation.
 
     p = 1 / (1 + exp(-z)), z = bias + confidence logit(c) + tilt t + hidden log(1 + 1000 h)
-                               + clearance min(d, 3 mm)
+                               + clearance min(d, full_clearance)
 
     with c the model's confidence, t the tilt (rad), h the share of the gripper that lies where
-    nothing was seen, d the clearance (m). The default takes the confidence as it is.
+    nothing was seen, d the clearance (m), of which more than `full_clearance` makes a grasp no
+    better. The default takes the confidence as it is.
     """
 
     bias: float = 0.0
@@ -38,6 +41,7 @@ class Calibration:
     tilt: float = 0.0
     hidden: float = 0.0
     clearance: float = 0.0
+    full_clearance: float = FULL_CLEARANCES[0]
 
     def probability(self, check: GraspCheck, confidence: np.ndarray) -> np.ndarray:
         """Probability (N,) that the verdict on checked grasps is success.
@@ -52,8 +56,12 @@ class Calibration:
 
     def of_features(self, features: np.ndarray) -> np.ndarray:
         """Probability (N,) for `logistic_features` (N, 4)."""
-        weights = np.array([getattr(self, name) for name in FEATURES])
-        return 1.0 / (1.0 + np.exp(-(features @ weights + self.bias)))
+        return 1.0 / (1.0 + np.exp(-self.terms(features).sum(axis=1)))
+
+    def terms(self, features: np.ndarray) -> np.ndarray:
+        """What z is the sum of (N, 5): the bias, and what each of the `FEATURES` adds."""
+        weights = np.array([self.bias, *(getattr(self, name) for name in FEATURES)])
+        return _with_bias(features, self.full_clearance) * weights
 
     def to_dict(self) -> dict[str, float]:
         """Plain values for config.json."""
@@ -75,7 +83,6 @@ def logistic_features(
     with np.errstate(divide="ignore"):
         logit = np.clip(np.log(c) - np.log1p(-c), -LOGIT_LIMIT, LOGIT_LIMIT)
     tilt = np.nan_to_num(tilt, nan=UNKNOWN_TILT)
-    clearance = np.minimum(clearance, FULL_CLEARANCE)
     return np.stack([logit, tilt, np.log1p(1000 * hidden_share), clearance], axis=1).astype(
         np.float64
     )
@@ -87,7 +94,8 @@ def fit_calibration(
     """Fit by maximum likelihood with a ridge towards the plain confidence.
 
     Confidence and clearance never lower the probability, tilt and hidden share never raise it:
-    where a fit to few grasps says otherwise, it is chance.
+    where a fit to few grasps says otherwise, it is chance. Of `FULL_CLEARANCES` it takes the one
+    under which the verdicts are likeliest.
 
     Args:
         features: (N, 4), see `logistic_features`.
@@ -97,19 +105,33 @@ def fit_calibration(
     Raises:
         InvalidRequestError: only successes or only failures were given.
     """
-    # Whoever only ranks has no use for it, and it takes a quarter of a second.
-    from scipy.optimize import minimize
-
     y = np.asarray(success, dtype=np.float64)
     if y.min(initial=1.0) == y.max(initial=0.0):
         raise InvalidRequestError(
             f"{int(y.sum())} successes of {len(y)} grasps were given; expected both successes and "
             "failures. Judge more grasps."
         )
-    scale = np.array([1.0, 0.2, 1.0, 0.002])
-    x = np.column_stack([np.asarray(features) / scale, np.ones(len(y))])
-    prior = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
-    strength = penalty * np.array([1.0, 1.0, 1.0, 1.0, 0.0])
+    fits = [_fit(_with_bias(features, full), y, penalty) for full in FULL_CLEARANCES]
+    best = min(range(len(fits)), key=lambda k: fits[k][0])
+    bias, *weights = fits[best][1].tolist()
+    return Calibration(bias, *weights, full_clearance=FULL_CLEARANCES[best])
+
+
+def _with_bias(features: np.ndarray, full_clearance: float) -> np.ndarray:
+    x = np.column_stack([np.ones(len(features)), features])
+    x[:, -1] = np.minimum(x[:, -1], full_clearance)
+    return x
+
+
+def _fit(x: np.ndarray, y: np.ndarray, penalty: float) -> tuple[float, np.ndarray]:
+    """Loss and weights (5,), the bias first."""
+    # Whoever only ranks has no use for it, and it takes a quarter of a second.
+    from scipy.optimize import minimize
+
+    scale = np.array([1.0, 1.0, 0.2, 1.0, 0.002])
+    x = x / scale
+    prior = np.array([0.0, 1.0, 0.0, 0.0, 0.0])
+    strength = penalty * np.array([0.0, 1.0, 1.0, 1.0, 1.0])
 
     def loss(w: np.ndarray) -> tuple[float, np.ndarray]:
         z = x @ w
@@ -117,7 +139,6 @@ def fit_calibration(
         value = np.sum(np.logaddexp(0.0, z) - y * z) + 0.5 * np.sum(strength * (w - prior) ** 2)
         return float(value), x.T @ (p - y) + strength * (w - prior)
 
-    bounds = [(0.0, None), (None, 0.0), (None, 0.0), (0.0, None), (None, None)]
-    w = minimize(loss, prior, jac=True, method="L-BFGS-B", bounds=bounds).x
-    values = dict(zip(FEATURES, (w[:-1] / scale).tolist()))
-    return Calibration(bias=float(w[-1]), **values)
+    bounds = [(None, None), (0.0, None), (None, 0.0), (None, 0.0), (0.0, None)]
+    found = minimize(loss, prior, jac=True, method="L-BFGS-B", bounds=bounds)
+    return float(found.fun), found.x / scale
