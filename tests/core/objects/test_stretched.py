@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from megrasp_core.errors import ObjectError
+from megrasp_core.evaluation import object_pool
 from megrasp_core.objects import (
     ObjectSet,
     mass_properties,
@@ -75,3 +76,14 @@ def test_training_objects_hold_other_copies_for_another_start(
     assert not copies[0] & copies[1]
     assert all(name.endswith(("asset/a", "asset/b")) for group in copies for name in group)
     assert (first[-1], second[-1]) == ("procedural/000000", "procedural/000007")
+
+
+def test_the_pool_of_the_score_holds_copies_of_each_scan(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A procedural object stands for a scan, so that no assets are needed.
+    monkeypatch.setattr(object_pool, "asset_names", lambda split: ["procedural/000001"])
+    pool = object_pool.validation_pool(2, copies=3)
+    scan = procedural_object(1)
+    expected = [scan, *(stretched(scan, number) for number in range(3))]
+    for model, other in zip(pool, expected):
+        assert np.array_equal(model.vertices, other.vertices)
+    assert len(pool) == 6
