@@ -2,7 +2,8 @@
 `python -m megrasp_core.cli.results_page docs/results.md`.
 
 Rows come from every result file of `megrasp eval` in the `evaluation` folders of the models, in
-docs/results and in that of the first model, which does not ship any more; `reliability.png` is
+docs/results and in that of the first model, which does not ship any more; those in
+docs/results/procedural, of grippers of the procedural family, are pooled. `reliability.png` is
 drawn beside every calibration.json of a model.
 """
 
@@ -11,21 +12,24 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from megrasp_core.drawing.reliability_picture import save_reliability_picture
-from megrasp_core.evaluation.statistics import wilson
+from megrasp_core.evaluation.statistics import Rate, cluster_bootstrap, wilson
 
 from .common import block_writer
 
-MARK = "results"
-CAUSES_MARK = "causes"
 HEADS = ("gripper", "model", "friction", "scenes", "first", "first_all", "filtered", "kept",
          "unfiltered", "cleared", "cleared_of_all", "drawn, returned, evaluations")  # fmt: skip
 CAUSES = ("slipped", "no_contact", "not_lifted", "start_collision", "approach_collision",
           "obstacle", "bin", "no_answer")  # fmt: skip
+JUDGED_HEADS = ("gripper", "executed with", "model", "scenes", "first", "first of a stage",
+                "mean of the returned", "any of a stage", "objects lifted by one stage",
+                "AUC of the score")  # fmt: skip
+PROCEDURAL_RATES = ("first", "first_all", "filtered", "unfiltered")
+PROCEDURAL = "docs/results/procedural/*.json"
 CALIBRATIONS = "models/*/evaluation/calibration.json"
 PLACES = (
     "models/*/evaluation/*.json",
@@ -42,15 +46,14 @@ def tables(page: Path) -> str:
         found.setdefault(content["protocol"], []).append(_row(content, link))
     text = []
     for protocol, rows in found.items():
-        heads = [f"| {' | '.join(HEADS)} |", "| --- " * len(HEADS) + "|"]
-        text += [f"### {protocol}", "", *heads, *rows, ""]
+        text += [f"### {protocol}", "", *_head(HEADS), *rows, ""]
     return "\n".join(text)
 
 
 def causes(page: Path) -> str:
     """One table of what became of the best ranked grasps, for a page in docs/ of a checkout."""
-    heads = ("gripper", "model", "protocol", "trials", *(c.replace("_", " ") for c in CAUSES))
-    lines = [f"| {' | '.join(heads)} |", "| --- " * len(heads) + "|"]
+    causes = (cause.replace("_", " ") for cause in CAUSES)
+    lines = _head(("gripper", "model", "protocol", "trials", *causes))
     for file, content in _results(page.resolve().parents[1]):
         reasons = dict(content["reasons"])
         trials, held = sum(reasons.values()), reasons.pop("success", 0)
@@ -65,6 +68,68 @@ def causes(page: Path) -> str:
         ]
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
+
+
+def judged(page: Path) -> str:
+    """The table of files whose returned grasps were judged (`megrasp eval --judged`)."""
+    lines = _head(JUDGED_HEADS)
+    for file, content in _results(page.resolve().parents[1]):
+        if "judged" in content:
+            stages = content["judged_stages"]
+            other = content["executed_with"]
+            cells = [
+                f"[{content['gripper']}]({os.path.relpath(file, page.resolve().parent)})",
+                "itself" if other == content["gripper"] else other,
+                content["model"],
+                str(content["scenes"]),
+                _rate(content["first"]),
+                _rate(stages["first"]),
+                _rate(content["judged"]),
+                _rate(stages["any"]),
+                f"{stages['objects_lifted']:g}",
+                f"{content['score_auc']:.2f}",
+            ]
+            lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def procedural(page: Path) -> str:
+    """The table of grippers of the procedural family, by kind; intervals draw grippers again."""
+    kinds: dict[str, list[dict[str, Any]]] = {}
+    for file in sorted(page.resolve().parents[1].glob(PROCEDURAL)):
+        content = json.loads(file.read_text())
+        kinds.setdefault(content["gripper"].rpartition("_")[0], []).append(content)
+    lines = _head(("kind", "grippers", "scenes", *PROCEDURAL_RATES, "first, by gripper"))
+    everything = [content for found in kinds.values() for content in found]
+    for kind, found in [*sorted(kinds.items()), ("**all**", everything)]:
+        rates = [c["first"]["rate"] for c in found if c["first"]["trials"]]
+        cells = [
+            kind.replace("_", " "),
+            str(len(found)),
+            str(sum(content["scenes"] for content in found)),
+            *(_rate(_pooled(found, key)) for key in PROCEDURAL_RATES),
+            f"{100 * min(rates):.0f} to {100 * max(rates):.0f} %" if rates else "-",
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _pooled(found: Sequence[Mapping[str, Any]], key: str) -> Mapping[str, Any] | None:
+    parts = [content[key] for content in found if key in content]
+    if not parts:
+        return None
+    rate: Rate = cluster_bootstrap(
+        [part["successes"] for part in parts], [part["trials"] for part in parts]
+    )
+    return rate.to_json()
+
+
+def _head(names: Sequence[str]) -> list[str]:
+    return [f"| {' | '.join(names)} |", "| --- " * len(names) + "|"]
+
+
+BLOCKS = {"results": tables, "judged": judged, "procedural": procedural, "causes": causes}
+"""What stands between `<!-- NAME -->` and `<!-- /NAME -->` on the page."""
 
 
 def draw_reliability(root: Path) -> None:
@@ -126,6 +191,6 @@ def _share(share: float | None) -> str:
 
 if __name__ == "__main__":
     goal = Path(sys.argv[1])
-    block_writer(goal, MARK)(tables(goal))
-    block_writer(goal, CAUSES_MARK)(causes(goal))
+    for block, text in BLOCKS.items():
+        block_writer(goal, block)(text(goal))
     draw_reliability(goal.resolve().parents[1])
