@@ -152,7 +152,9 @@ class GraspClient:
         finally:
             executor.shutdown()
             thread.join(timeout=5.0)
-            node.destroy_node()
+            # A Ctrl-C amid rclpy's own bookkeeping leaves it a list that lacks an entry.
+            with contextlib.suppress(ValueError):
+                node.destroy_node()
             if context is None:
                 used.try_shutdown()
 

@@ -13,6 +13,7 @@ import rclpy
 from cell_processes import WAIT, in_executor, own_domain, until
 from megrasp_msgs.msg import ErrorCode, OrientedBox
 from megrasp_msgs.srv import DetectBin
+from sensor_msgs.msg import PointCloud2
 from server_client import Client, camera, cloud_of, running_server, still_serves, table_points
 
 from megrasp_core.grippers import load_gripper
@@ -87,6 +88,21 @@ def test_a_node_that_nobody_spins_is_told() -> None:
     finally:
         node.destroy_node()
         context.try_shutdown()
+
+
+def test_ctrl_c_amid_a_new_subscription_stays_a_ctrl_c(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It leaves rclpy without entries that it removes when the node goes."""
+
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    with (
+        pytest.raises(KeyboardInterrupt),
+        GraspClient.open(domain_id=own_domain(1)) as client,
+        monkeypatch.context() as once,
+    ):
+        once.setattr(client.node, "_wake_executor", interrupted)
+        client.node.create_subscription(PointCloud2, "/silent", print, 1)
 
 
 def test_it_can_bring_its_own_node_or_use_a_context(server: Client) -> None:
