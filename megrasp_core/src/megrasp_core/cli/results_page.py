@@ -28,7 +28,7 @@ CAUSES = ("slipped", "no_contact", "not_lifted", "start_collision", "approach_co
 JUDGED_HEADS = ("gripper", "executed with", "model", "scenes", "first", "first of a stage",
                 "mean of the returned", "any of a stage", "objects lifted by one stage",
                 "AUC of the score")  # fmt: skip
-PROCEDURAL_RATES = ("first", "first_all", "filtered", "unfiltered")
+PROCEDURAL_RATES = ("first", "first_all")
 PROCEDURAL = "docs/results/procedural/*.json"
 CALIBRATIONS = "models/*/evaluation/calibration.json"
 PLACES = (
