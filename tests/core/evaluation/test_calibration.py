@@ -63,6 +63,10 @@ def test_judged_grasps_are_kept_and_fitted_again(tmp_path: Path, capsys) -> None
     report = json.loads(out.read_text())
     assert report["rows"] == ["run.judged.npz"]
     assert report["grippers"]["allegro_hand"]["judged"] == 60
+    assert main([*arguments, str(file)]) == 0
+    assert json.loads(out.read_text())["grippers"]["allegro_hand"] == {
+        name: 2 * count for name, count in hand.counts().items()
+    }
     assert main([*arguments, "--gripper", "franka_hand"]) == 2
     assert "expected it alone" in capsys.readouterr().err
     file.write_bytes(b"half of it")

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import functools
 import zipfile
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -194,7 +195,7 @@ def calibrate(judged: Sequence[JudgedGrasps]) -> tuple[Calibration, dict[str, An
     confidence = np.concatenate([part.confidence for part in judged])
     return final, {
         "calibration": final.to_dict(),
-        "grippers": {part.gripper: part.counts() for part in judged},
+        "grippers": _counts(judged),
         "confidence": quality(confidence, success),
         "held_out": {**quality(held_out, outcome), "judged": len(outcome)},
         "reliability": _reliability(held_out, outcome),
@@ -219,6 +220,14 @@ def calibrate_kinds(
         if grasps >= LEAST_OF_A_KIND and 0 < successes < grasps:
             fitted[kind], reports[kind] = calibrate(parts)
     return fitted, reports
+
+
+def _counts(judged: Sequence[JudgedGrasps]) -> dict[str, dict[str, int]]:
+    """Counts of each gripper, which several runs may have judged."""
+    counts: dict[str, Counter[str]] = {}
+    for part in judged:
+        counts.setdefault(part.gripper, Counter()).update(part.counts())
+    return {gripper: dict(of) for gripper, of in counts.items()}
 
 
 def quality(probability: np.ndarray, success: np.ndarray) -> dict[str, float | None]:
